@@ -17,7 +17,7 @@ from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.integrity import MOST_COUNTED_S
 
 WELL_OBSERVED_SD = 0.02
-"""Standard deviation of log-focal up to which a view determines it well."""
+"""Standard deviation of log-focal up to which a view determines it well; no measurement counts as better."""
 
 _MOST_COMMON = 4.0  # factor of log-focal's variance by what landmarks have in common: seen with up to 150 of them
 _MEMORY_S = 3.0  # time constant of the mean, of time that counts
@@ -27,11 +27,10 @@ _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean
 # misplaced alike in neighbouring views.
 _SURE_SDS = 3.0
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
-# Standard deviations of the log-focal of a camera that is not the build's: before landmarks have confirmed it, and
-# after. In views that are nearly flat they may confirm one that is 10 % wrong (a desk), hence no less.
-_UNCONFIRMED_SD, _CONFIRMED_SD = 0.1, 0.04
-_MOST_CONFIRMED = 0.08  # difference that confirms a focal length, however much the build's frames differ
-_CONFIRMED_S = 1.0  # of measurements whose mean agrees with the stated focal length
+# Standard deviation of the log-focal of a camera that is not the build's: before landmarks have measured it for a
+# while, and from which on it counts as confirmed.
+_UNMEASURED_SD, _CONFIRMED_SD = 0.1, 0.05
+_MEASURED_S = 1.0
 
 
 def log_focal_sd(pose: LandmarkPose) -> float:
@@ -55,7 +54,7 @@ class CameraCheck:
 
     In a flat view a wrong focal length fits nearly as well as the right one: it moves the camera along its optical
     axis, and both landmarks and predicted depth agree. The evidence for the stated one is that the build had the
-    same. Any other widens the covariance along that axis, less so once landmarks have confirmed it.
+    same. Any other widens the covariance along that axis, by as much as landmarks leave possible.
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
@@ -66,13 +65,13 @@ class CameraCheck:
     """
 
     def __init__(self, mean: float, sd: float, has_build_focal: bool) -> None:
-        self._expected, self._bound = mean, max(_LEAST_LOG_FOCAL, _MOST_SD * sd)
+        self._expected, self._expected_sd = mean, sd
         self._views, self._left_s = DistinctViews(), 0.0  # that still counts of the present view
         # Sums over views that fade: of log-focal by its information, of information, and of views.
         self._sum, self._information, self._view_count = 0.0, 0.0, 0.0
         self._measured_s = 0.0
         self.has_build_focal = has_build_focal
-        self._is_confirmed, self._agreed_s = False, 0.0
+        self._focal_error = _UNMEASURED_SD
         self._scene_m = 0.0
 
     @property
@@ -80,12 +79,13 @@ class CameraCheck:
         """Whether the camera is not the stated one."""
         if self._measured_s < _LEAST_S:
             return False
-        return self._difference > math.hypot(self._bound, _SURE_SDS * self._sd)
+        bound = max(_LEAST_LOG_FOCAL, _MOST_SD * self._expected_sd)
+        return self._difference > math.hypot(bound, _SURE_SDS * self._sd)
 
     @property
     def is_confirmed(self) -> bool:
         """Whether the stated focal length is the build's, or landmarks have confirmed it in this flight."""
-        return self.has_build_focal or self._is_confirmed
+        return self.has_build_focal or self._focal_error <= _CONFIRMED_SD
 
     @property
     def _difference(self) -> float:
@@ -116,9 +116,9 @@ class CameraCheck:
         self._sum = decay * self._sum + information * pose.log_focal
         self._information = decay * self._information + information
         self._view_count = decay * self._view_count + part
-        agrees = self._sd <= WELL_OBSERVED_SD and self._difference <= min(self._bound, _MOST_CONFIRMED)
-        self._agreed_s = self._agreed_s + counted_s if agrees else 0.0
-        self._is_confirmed |= self._agreed_s >= _CONFIRMED_S
+        if self._measured_s >= _MEASURED_S:
+            error = math.hypot(self._difference, self._sd, self._expected_sd)
+            self._focal_error = min(self._focal_error, max(WELL_OBSERVED_SD, error))  # a flight has one camera
 
     def widened(self, belief: Estimate, depth: DepthPrediction | None) -> Estimate:
         """The belief with a covariance that allows for a wrong focal length.
@@ -131,5 +131,5 @@ class CameraCheck:
         if depth is not None and (depth.depth_m > 0.0).any():
             self._scene_m = float(np.median(depth.depth_m[depth.depth_m > 0.0]))
         covariance = belief.covariance.copy()
-        covariance[2, 2] += ((_CONFIRMED_SD if self._is_confirmed else _UNCONFIRMED_SD) * self._scene_m) ** 2
+        covariance[2, 2] += (self._focal_error * self._scene_m) ** 2
         return replace(belief, covariance=covariance)

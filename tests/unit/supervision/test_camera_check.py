@@ -123,7 +123,7 @@ def test_focal_length_of_the_build_adds_nothing_to_the_covariance() -> None:
     assert check.is_confirmed and check.widened(BELIEF, wall_at(2.0)) is BELIEF
 
 
-def test_another_focal_length_may_be_a_tenth_wrong_until_landmarks_confirm_it() -> None:
+def test_another_focal_length_may_be_a_tenth_wrong_until_landmarks_measure_it() -> None:
     """It then moves the camera by a tenth of the scene's distance, along its optical axis."""
     check = CameraCheck(0.02, 0.01, False)
     assert sd_along_axis(check, None) == 0.0  # nothing was seen yet
@@ -131,15 +131,40 @@ def test_another_focal_length_may_be_a_tenth_wrong_until_landmarks_confirm_it() 
     assert not after(check, by_landmarks(0.03), 9) and not check.is_confirmed
     assert sd_along_axis(check, None) == pytest.approx(0.2)  # the scene of the last depth image
     assert not after(check, by_landmarks(0.03), 2) and check.is_confirmed
-    assert sd_along_axis(check, wall_at(1.0)) == pytest.approx(0.04)
+    assert sd_along_axis(check, wall_at(1.0)) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("log_focal", "sd", "build_sd", "expected"),
+    [
+        (0.0, 0.01, 0.001, WELL_OBSERVED_SD),  # no measurement counts as better
+        (0.0, 0.03, 0.001, 0.03),
+        (0.0, 0.03, 0.04, 0.05),
+        (0.04, 0.03, 0.001, 0.05),
+        (-0.04, 0.03, 0.001, 0.05),
+    ],
+)
+def test_measured_focal_length_is_as_wrong_as_difference_view_and_build_allow(
+    log_focal: float, sd: float, build_sd: float, expected: float
+) -> None:
+    check = CameraCheck(0.0, build_sd, False)
+    after(check, by_landmarks(log_focal, sd), 20)
+    assert sd_along_axis(check, wall_at(1.0)) == pytest.approx(expected, rel=0.01)
+
+
+def test_a_focal_length_that_was_measured_stays_so_in_flat_views() -> None:
+    check = CameraCheck(0.0, 0.01, False)
+    after(check, by_landmarks(0.0), 20)
+    after(check, by_landmarks(0.0, 0.2), 300)
+    assert check.is_confirmed and sd_along_axis(check, wall_at(1.0)) == pytest.approx(WELL_OBSERVED_SD)
 
 
 @pytest.mark.parametrize(
     ("sd", "pose"),
     [
         (0.01, by_landmarks(0.1)),  # another focal length
-        (0.01, by_landmarks(0.0, 1.1 * WELL_OBSERVED_SD)),  # flat views
-        (1.0, by_landmarks(0.1)),  # a build that could not measure it
+        (0.01, by_landmarks(0.0, 0.1)),  # flat views
+        (1.0, by_landmarks(0.0)),  # a build that could not measure it
         (0.01, None),
     ],
 )
@@ -149,7 +174,7 @@ def test_these_do_not_confirm_a_focal_length(sd: float, pose: LandmarkPose | Non
     assert not check.is_confirmed and sd_along_axis(check, wall_at(2.0)) == pytest.approx(0.2)
 
 
-def test_a_focal_length_is_confirmed_by_a_second_without_contradiction() -> None:
+def test_landmarks_that_contradict_each_other_do_not_confirm_a_focal_length() -> None:
     check = CameraCheck(0.0, 0.01, False)
     for _ in range(10):
         after(check, by_landmarks(0.0), 5)
