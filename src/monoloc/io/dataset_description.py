@@ -15,7 +15,7 @@ from monoloc.config import nearest_keys, read_toml
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, is_rigid
-from monoloc.io.file_access import require_file
+from monoloc.io.file_access import require_access, require_file
 from monoloc.io.reader_options import depth_scale_problem
 
 FILE_NAME = "dataset.toml"
@@ -152,6 +152,7 @@ class DatasetDescription:
     def _existing_indices(self, start: int, step: int) -> list[int]:
         existing = self._indices_of("color")
         if not existing:
+            require_access(self.paths("color", [start])[0].parent)
             raise self.error("color", f"is {self.text('color')!r}, which no file matches")
         found = [index for index in existing if index >= start and (index - start) % step == 0]
         if not found:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ def require_folder(path: Path) -> None:
         raise DataError(path.absolute(), "does not exist", "check the path")
     if not path.is_dir():
         raise DataError(path, "is a file, not a folder", "give the folder that holds the recording")
+    require_access(path)
 
 
 def require_file(path: Path, fix: str) -> None:
@@ -31,7 +33,18 @@ def require_file(path: Path, fix: str) -> None:
     except (OSError, ValueError):  # its name is too long, or holds a null character
         is_there = False
     if not is_there:
+        require_access(path.parent)
         raise DataError(path, "is missing", fix)
+
+
+def require_access(folder: Path) -> None:
+    """Raise DataError if ``folder`` is there but may not be listed: its files would seem to be missing."""
+    try:
+        is_closed = os.access(folder, os.F_OK) and not os.access(folder, os.R_OK | os.X_OK)
+    except ValueError:  # its name holds a null character
+        return
+    if is_closed:
+        raise DataError(folder, "may not be read", f"its owner can allow it: chmod -R a+rX {folder}")
 
 
 def visible(folder: Path, ending: str = "") -> list[Path]:

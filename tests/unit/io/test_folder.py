@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -160,6 +161,18 @@ def test_intrinsics_that_do_not_fit_are_refused(folder: Path) -> None:
 def test_missing_image_is_refused(folder: Path) -> None:
     (folder / "depth/000020.png").unlink()
     refuses_to_open(folder, folder / "depth/000020.png", "is missing", "correct depth or count in dataset.toml")
+
+
+@pytest.mark.parametrize("count", ["count = 3\n", ""])
+def test_folder_that_may_not_be_read_is_refused_as_such(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, count: str
+) -> None:
+    """Its files seem to be missing. A stand-in forbids it, since the superuser may read everything."""
+    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace("count = 3\n", count))
+    for image in (folder / "color").iterdir():
+        image.unlink()
+    monkeypatch.setattr(os, "access", lambda path, mode: path != folder / "color" or mode == os.F_OK)
+    refuses_to_open(folder, folder / "color", "may not be read", "chmod -R a\\+rX .*color")
 
 
 def test_image_name_that_is_too_long_is_refused(folder: Path) -> None:
