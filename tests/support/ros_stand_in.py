@@ -98,6 +98,7 @@ class Runtime:
         transforms: what the buffer knows, by parent and child: geometry_msgs/TransformStamped.
         published: messages by topic.
         said: what was logged.
+        throttled: of it, what ROS may leave out if it comes soon after another.
         subscriptions: callbacks by topic.
         spin: what happens while the node spins.
     """
@@ -107,6 +108,7 @@ class Runtime:
     transforms: dict[tuple[str, str], Any] = field(default_factory=dict)
     published: list[tuple[str, Any]] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
+    throttled: list[str] = field(default_factory=list)
     subscriptions: dict[tuple[str, str], Any] = field(default_factory=dict)
     spin: Any = None
 
@@ -143,6 +145,8 @@ class QoSProfile:
 class Logger:
     def warning(self, text: str, *, throttle_duration_sec: float = 0.0) -> None:
         _RUNTIME[-1].said.append(text)
+        if throttle_duration_sec > 0.0:
+            _RUNTIME[-1].throttled.append(text)
 
     fatal = warning
 

@@ -41,7 +41,7 @@ _PUBLISHED = {
 }
 _MOST_IMU_AGE_NS = 50_000_000
 _CLOCKS_APART_NS = 10**9  # by which a camera's clock may be ahead
-_WARN_PERIOD_S = 5.0
+_WARN_PERIOD_S = 5.0  # of all that each image may bring again, since rclpy counts by the line that says it
 
 
 class MonolocNode(Node):
@@ -107,19 +107,19 @@ class MonolocNode(Node):
     def _take_start(self, message: PoseWithCovarianceStamped) -> None:
         """Begin anew at the next image; a pose that cannot be used changes nothing."""
         if self._flown.is_place:
-            self._warn("/initialpose is not used: a place is searched for the camera")
+            self.get_logger().warning("/initialpose is not used: a place is searched for the camera")
             return
         if message.header.frame_id != self._map:
-            self._warn(f"/initialpose is in frame {message.header.frame_id!r}; give it in {self._map!r}")
+            self.get_logger().warning(f"/initialpose has frame {message.header.frame_id!r}; give it in {self._map!r}")
             return
         if self._frames is None:
-            self._warn("/initialpose came before the first image; give it again")
+            self.get_logger().warning("/initialpose came before the first image; give it again")
             return
         try:
             covariance = np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6)
             self._start = self._frames.start(pose_of(message), covariance)
         except ValueError as error:
-            self._warn(f"/initialpose cannot be used: {error}")
+            self.get_logger().warning(f"/initialpose cannot be used: {error}")
             return
         if self._made is not None:
             self._made.localizer.reset(self._start)
@@ -187,7 +187,7 @@ class MonolocNode(Node):
             frames = RosFrames.of_base(self._transform(self._base, camera_frame, Time()), down, names)
         self._turns = frames.quarter_turns
         if self._turns > 0:
-            self._warn(f"images are turned by {in_words(self._turns)}, to stand upright")
+            self.get_logger().warning(f"images are turned by {in_words(self._turns)}, to stand upright")
         return frames.upright
 
     def _localize(self, color: Any, message: Image | CompressedImage, stamp_ns: int) -> None:
