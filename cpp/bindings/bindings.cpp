@@ -47,6 +47,12 @@ nb::ndarray<nb::numpy, T> to_numpy(std::vector<T> values, std::initializer_list<
   return nb::ndarray<nb::numpy, T>(data, shape, owner);
 }
 
+// Calls Python's signal handlers, which otherwise wait until a call returns. A map of a floor takes half a minute.
+void handle_signals() {
+  nb::gil_scoped_acquire acquire;
+  if (PyErr_CheckSignals() != 0) throw nb::python_error();
+}
+
 std::vector<monoloc::Component> components(const Scalars& weights, const Vectors& means, const Matrices& covariances) {
   const std::size_t count = weights.shape(0);
   require(means.shape(0) == count && covariances.shape(0) == count,
@@ -300,7 +306,8 @@ NB_MODULE(_core, m) {
              double voxel_m, double floor_density, double tolerance) {
             nb::gil_scoped_release release;
             new (self) monoloc::MixtureIndex(components(weights, means, covariances),
-                                             {voxel_m, floor_density, tolerance, std::thread::hardware_concurrency()});
+                                             {voxel_m, floor_density, tolerance, std::thread::hardware_concurrency(),
+                                              handle_signals});
           },
           "weights"_a, "means"_a, "covariances"_a, "voxel_m"_a, "floor_density"_a, "tolerance"_a)
       .def("log_density", &index_log_density, "points"_a)

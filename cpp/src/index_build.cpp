@@ -119,6 +119,7 @@ MixtureIndex::MixtureIndex(const std::vector<Component>& mixture, const IndexSet
   std::size_t kept = 0;
   voxel_lists_.assign(kBrickVoxels, 0);
   for (std::size_t first = 0; first < bricks.size(); first += kBatch) {
+    settings.pause();
     for (const BrickLists& brick : batch_of(bricks, first, selector, settings.threads)) {
       if (brick.voxels == 0) continue;
       voxels_ += brick.voxels;

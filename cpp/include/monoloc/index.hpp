@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "monoloc/kernels.hpp"
@@ -16,6 +17,7 @@ struct IndexSettings {
   double floor_density;   // smallest outlier density in use, 1/m^3
   double tolerance;       // allowed relative error of (density + floor) in a voxel
   std::size_t threads = 1;  // that build it; their number does not affect the result
+  std::function<void()> pause = [] {};  // called now and then; what it throws ends the construction
 };
 
 class MixtureIndex {

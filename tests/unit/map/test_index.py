@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import subprocess
 import sys
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -170,6 +173,18 @@ def test_index_under_a_floor_above_the_map_is_empty() -> None:
     index = make_mixture(5).index(floor_density=1e12)
     assert index.voxels == 0
     assert np.isneginf(index.log_density(np.zeros((3, 3)))).all()
+
+
+def test_ctrl_c_ends_the_construction() -> None:
+    """Which would take several times as long as the test allows."""
+    rng = np.random.default_rng(0)
+    means, covariances = rng.uniform(-5.0, 5.0, (400, 3)), np.tile(0.09 * np.eye(3), (400, 1, 1))
+    mixture = GaussianMixture(np.full(400, 1 / 400), means, covariances)
+    began_s = time.monotonic()
+    threading.Timer(0.2, _thread.interrupt_main).start()
+    with pytest.raises(KeyboardInterrupt):
+        mixture.index(voxel_m=0.02)
+    assert time.monotonic() - began_s < 15.0
 
 
 def test_no_particles_and_no_points() -> None:
