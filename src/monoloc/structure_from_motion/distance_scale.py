@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from monoloc.config import describe, read_toml
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.file_access import require_file
 from monoloc.io.recording import Recording
 from monoloc.structure_from_motion.metric_scale import MetricScale, from_length
@@ -30,6 +30,7 @@ from monoloc.structure_from_motion.sparse_model import SparseModel
 from monoloc.structure_from_motion.triangulation import distance_sd, triangulate
 
 _CLICK_SD_PX = 1.5
+_MOST_OFF_PX = 10.0  # of a mark from the point of all marks; of a click, to which the errors of poses and lens add
 _FIX = "write metres, a and b, each of the two as [[frame, x, y], [frame, x, y]]"
 
 _Pixel = tuple[str, float, float]
@@ -71,16 +72,23 @@ class DistanceScale:
         self, recording: Recording, model: SparseModel, end: str, pixels: Sequence[_Pixel]
     ) -> tuple[FloatArray, FloatArray]:
         indices = np.array([self._index(recording, name) for name, _, _ in pixels])
+        marks = np.array([pixel[1:] for pixel in pixels])
         placed = np.isin(indices, model.frames)
         count = len(np.unique(indices[placed]))
         if count < 2:
             problem = f"{end} is marked in {count} of the frames that could be placed, and two are needed"
             raise DataError(self.path, problem, "mark it in more frames")
         poses = model.poses[np.searchsorted(model.frames, indices[placed])]
-        found = triangulate(model.camera, poses, np.array([pixel[1:] for pixel in pixels])[placed])
+        found = triangulate(model.camera, poses, marks[placed])
         if found is None:
             problem = f"{end} is seen from one side only, or one of its marks is wrong"
             raise DataError(self.path, problem, "mark it in frames further apart, or correct the mark")
+        off = model.camera.project(transform(invert(poses), found[0][None])[:, 0]) - marks[placed]
+        off_px = np.linalg.norm(off, axis=1)
+        if off_px.max() > _MOST_OFF_PX:
+            name = recording.frame_names[indices[placed][off_px.argmax()]]
+            problem = f"the marks of {end} do not show one point: that in {name} is {off_px.max():.0f} px off"
+            raise DataError(self.path, problem, "correct it, or another mark of the same point")
         return found
 
     def _index(self, recording: Recording, name: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,6 +171,18 @@ def test_point_from_one_side_is_not_one_of_too_few_frames(
         "a is seen from one side only, or one of its marks is wrong",
         "further apart",
     )
+
+
+def test_marks_of_two_points_under_one_name_are_refused(
+    walk: RoomRecording, model: SparseModel, tmp_path: Path
+) -> None:
+    path = distance_file(tmp_path, model)
+    head, a, b = path.read_text().splitlines()
+    marks = json.loads(b.removeprefix("b = "))
+    marks[2][2] += 30.0
+    path.write_text("\n".join([head, a, f"b = {json.dumps(marks)}"]))
+    problem = r"the marks of b do not show one point: that in 00000\d is [12]\d px off"
+    refuses_data(lambda: DistanceScale(path).measure(walk, model, []), path, problem, "correct it, or another mark")
 
 
 def test_undetermined_length_is_refused(walk: RoomRecording, model: SparseModel, tmp_path: Path) -> None:
