@@ -30,7 +30,7 @@ from monoloc.structure_from_motion.sparse_model import SparseModel
 from monoloc.structure_from_motion.triangulation import distance_sd, triangulate
 
 _CLICK_SD_PX = 1.5
-_MOST_OFF_PX = 10.0  # of a mark from the point of all marks; of a click, to which the errors of poses and lens add
+_MOST_OFF = 0.02  # of a mark from the point of all marks, in focal lengths: a click, and the errors of poses and lens
 _FIX = "write metres, a and b, each of the two as [[frame, x, y], [frame, x, y]]"
 
 _Pixel = tuple[str, float, float]
@@ -85,7 +85,7 @@ class DistanceScale:
             raise DataError(self.path, problem, "mark it in frames further apart, or correct the mark")
         off = model.camera.project(transform(invert(poses), found[0][None])[:, 0]) - marks[placed]
         off_px = np.linalg.norm(off, axis=1)
-        if off_px.max() > _MOST_OFF_PX:
+        if off_px.max() > _MOST_OFF * model.camera.focal_px:
             name = recording.frame_names[indices[placed][off_px.argmax()]]
             problem = f"the marks of {end} do not show one point: that in {name} is {off_px.max():.0f} px off"
             raise DataError(self.path, problem, "correct it, or another mark of the same point")
