@@ -186,6 +186,8 @@ class Localizer:
         belief = self._fuse(observation, measured, log_likelihood, relocalization, landmarks, contradicted)
         if observation.depth_is_predicted:  # a sensor's does not err more in views that no network was tuned on
             belief = self._tracker.fusion.stated()
+        seen = relocalization.landmark_pose if landmarks is None else landmarks.pose
+        self._camera_check.update(seen, belief.pose, observation.elapsed_s)
         belief = self._camera_check.widened(belief, observation.depth)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, previous)
@@ -363,7 +365,6 @@ class Localizer:
             if self._tracker.fusion.landmarks_contradict and self._index > 0:  # a given start may be rough
                 self._integrity.contradicted_by_landmarks()
             self._integrity.update(log_likelihood, landmarks, familiar)
-            self._camera_check.update(landmark_pose, belief.pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
         # How many landmarks are found again was measured with the build's focal length.
         comparable = familiar.shown() if familiar is not None and self._camera_check.has_build_focal else None

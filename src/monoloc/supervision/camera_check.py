@@ -96,6 +96,12 @@ class CameraCheck:
         """Standard deviation of a view's log-focal, by the mean information of views."""
         return math.sqrt(self._view_count / self._information)
 
+    @property
+    def _stated_sd(self) -> float:
+        """Of the log-focal of a camera that is not the build's: no less than what landmarks are sure of."""
+        sure = self._difference - _SURE_SDS * self._sd if self._information > 0.0 else 0.0
+        return max(self._focal_error, sure)
+
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
 
@@ -131,5 +137,5 @@ class CameraCheck:
         if depth is not None and (depth.depth_m > 0.0).any():
             self._scene_m = float(np.median(depth.depth_m[depth.depth_m > 0.0]))
         covariance = belief.covariance.copy()
-        covariance[2, 2] += (self._focal_error * self._scene_m) ** 2
+        covariance[2, 2] += (self._stated_sd * self._scene_m) ** 2
         return replace(belief, covariance=covariance)

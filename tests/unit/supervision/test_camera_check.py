@@ -152,6 +152,16 @@ def test_measured_focal_length_is_as_wrong_as_difference_view_and_build_allow(
     assert sd_along_axis(check, wall_at(1.0)) == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.parametrize(("log_focal", "sd", "expected"), [(-0.3, 0.01, 0.27), (0.3, 0.05, 0.15), (0.3, 0.1, 0.1)])
+def test_one_view_that_is_sure_of_another_focal_length_widens_the_covariance_at_once(
+    log_focal: float, sd: float, expected: float
+) -> None:
+    """By what exceeds three standard deviations of the view."""
+    check = CameraCheck(0.0, 0.01, False)
+    assert not after(check, by_landmarks(log_focal, sd), 1)
+    assert sd_along_axis(check, wall_at(1.0)) == pytest.approx(expected)
+
+
 def test_a_focal_length_that_was_measured_stays_so_in_flat_views() -> None:
     check = CameraCheck(0.0, 0.01, False)
     after(check, by_landmarks(0.0), 20)
