@@ -23,6 +23,7 @@ from monoloc.particle_filter.particles import scatter
 from monoloc.progress import NoProgress
 from monoloc.relocalization.state_machine import Mode
 from monoloc.step import Step
+from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.state import Reason
 from synthetic_room import (
     BLACK,
@@ -94,6 +95,18 @@ def test_kidnapped_camera_is_not_tracking_until_landmarks_find_it(flights: Fligh
     assert errors_m[0] > 0.8 and steps[0].state != "tracking" and Reason.NO_ODOMETRY in steps[0].reasons
     is_tracking = np.array(states(steps)) == "tracking"
     assert np.all(errors_m[is_tracking] < 0.03) and is_tracking[-1] and is_tracking.sum() > SOON
+
+
+def test_wrong_start_is_left_for_what_landmarks_find_twice_before_it_is_suspected(
+    flights: Flights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A metre and 40 degrees away, while the belief is only *uncertain*."""
+    monkeypatch.setattr(IntegrityMonitor, "probability_wrong", 0.3)
+    frames = range(FRAMES - 1, FRAMES - 1 - SOON, -1)
+    steps = follow(flights.localizer(), flights.recording, frames)
+    errors_m = flights.errors_m(steps, frames)
+    assert set(states(steps)) == {"uncertain"} and errors_m[0] > 0.8 and errors_m[-1] < 0.03
+    assert [step.restarted for step in steps].count(True) == 1
 
 
 def test_kidnapped_camera_is_not_tracking_where_there_are_no_landmarks(flights: Flights) -> None:
