@@ -310,6 +310,7 @@ class Localizer:
         fits &= self._integrity.scan_speaks_for_the_pose(log_likelihood)
         is_found = relocalization.confirmed or relocalization.landmark_pose is not None
         scan_confirms = fits and not contradicted and self._integrity.scan_confirms(log_likelihood)
+        scan_confirms &= not self._integrity.landmarks_deny(landmarks)
         self._start_confirmed |= is_found or landmark_pose is not None or scan_confirms
         fits &= not relocalization.awaits_landmarks
         fits |= "bias" in self._config.without  # the belief is the particles' pose, whatever their scan says

@@ -15,6 +15,7 @@ from monoloc.bundle import Bundle
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
+from monoloc.landmarks.pnp import LandmarkMeasurement, NoLandmarks
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.ray import RayLikelihood
 from monoloc.likelihood.scan import Scan, scan_from_corners
@@ -270,6 +271,27 @@ def test_start_is_vouched_for_once_something_confirms_it(
     particles = start.particles(SETTINGS, np.random.default_rng(0))
     steps = follow(make_localizer(mixture, thresholds, particles, recording.poses[:1], settings=SETTINGS), recording)
     assert {step.state for step in steps} <= states
+
+
+class _NoneFound(NoLandmarks):
+    def __init__(self, expected: int) -> None:
+        self._expected = expected
+
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        return LandmarkMeasurement(self._expected)
+
+
+@pytest.mark.parametrize(("expected", "state"), [(0, "tracking"), (20, "tracking"), (200, "uncertain")])
+def test_scan_does_not_confirm_a_start_where_landmarks_should_be_seen_and_are_not(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    expected: int,
+    state: str,
+) -> None:
+    localizer = localizer_at_truth(mixture, recording, thresholds)
+    localizer._landmarks = _NoneFound(expected)
+    assert follow(localizer, recording, range(3))[0].state == state
 
 
 def test_ten_particles_give_rigid_poses(

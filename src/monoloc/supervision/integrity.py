@@ -220,6 +220,13 @@ class IntegrityMonitor:
         right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
         return right > wrong
 
+    def landmarks_deny(self, landmarks: LandmarkMeasurement | None) -> bool:
+        """Whether so few of the landmarks in view are found that this is more probable at wrong poses."""
+        if landmarks is None or landmarks.expected < _LEAST_EXPECTED:
+            return False
+        right, wrong = self._model.landmarks.likelihoods(landmarks.found)
+        return right < wrong
+
     def predict(self, elapsed_s: float, odometry_tracked: bool, image_is_new: bool) -> None:
         """The probabilities after a motion.
 

@@ -192,6 +192,13 @@ def test_scan_speaks_for_the_pose_where_its_fit_is_as_probable_there_as_at_wrong
     assert make_monitor(IntegrityModel()).scan_speaks_for_the_pose(-1e9)  # where nothing was measured
 
 
+def test_landmarks_deny_a_pose_at_which_many_should_be_in_view_and_few_are_found() -> None:
+    monitor = make_monitor()
+    assert not monitor.landmarks_deny(None)
+    for expected, found, denies in ((100, 0, True), (100, 60, False), (29, 0, False), (0, 0, False)):
+        assert monitor.landmarks_deny(LandmarkMeasurement(expected, found)) == denies
+
+
 def test_evidence_counts_by_time_and_not_by_frames() -> None:
     """A camera of ten times the rate gives no more independent observations."""
     fast, slow = make_monitor(), make_monitor()
