@@ -142,7 +142,7 @@ THIS_VERSION: tuple[Sentence, ...] = (
         [float(table_of("rendered-rooms.csv")[0]["frames"])],
     ),
     (
-        "in the dining room it is {}, {} and {} cm, with the default {}, {} and {} cm. A view of a wall is "
+        "In the dining room it is {}, {} and {} cm, with the default {}, {} and {} cm. A view of a wall is "
         "*uncertain* at times, at errors of {} cm: in the dining room {}, {} and {} % of the frames are *tracking*",
         [
             *(median_of(in_dining_room(method, light), "rmse_cm") for method in DINING for light in LIGHTS),
@@ -153,12 +153,12 @@ THIS_VERSION: tuple[Sentence, ...] = (
 )
 
 
-def test_where_tuning_does_no_good_in_the_rendered_rooms() -> None:
+def test_where_tuning_lowers_the_error_in_the_rendered_rooms() -> None:
     living = [
         [median_of(chosen(RENDERED, room="living room", light=light, method=method), "rmse_cm") for light in LIGHTS]
         for method in DINING
     ]
-    assert all(untuned < default for untuned, default in zip(*living, strict=True))
+    assert [untuned < default for untuned, default in zip(*living, strict=True)] == [True, True, False]
     for method in DINING:
         assert [total(in_dining_room(method, light), "silent_30cm") for light in LIGHTS[:2]] == [0, 0]
 
@@ -465,6 +465,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "In rooms 13, 15, 16 and 18, 0.35, 0.95, 0.90 and 0.70 of": "seeds, and shares of the version before",
     "In rooms 14 and 17, about half": "seeds",
     "At the desk, 1 was": "by the rate, which is checked",
+    "it was 91, 89 and 73 %": "of the version before, which is in the history",
     "show 20 landmarks": "a definition",
     "with the ones before, it was 8 and 7": "of the version before, which was not kept",
     "111 and 70 were": "of the version before, which was not kept",
