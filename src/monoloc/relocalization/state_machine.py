@@ -162,19 +162,20 @@ class RelocalizationStateMachine:
             self._elsewhere = None
             return Relocalization(self.mode, particles)
         is_due = self._searches_by_landmarks and self._since_landmark_search_s >= _LANDMARK_PERIOD_S
-        seen, is_searched = None, is_due and by_landmarks is not None
-        if is_due and by_landmarks is not None:
+        search = by_landmarks if is_due else None
+        seen = None
+        if search is not None:
             self._since_landmark_search_s = 0.0
-            seen = self._other_place(by_landmarks(), belief, is_sought)
+            seen = self._other_place(search(), belief, is_sought)
         if seen is not None:
             self._transition(Event.LANDMARKS_FOUND)
             place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
             particles = self._relocalizer.sample_around(place, len(particles), rng)
             return Relocalization(self.mode, particles, landmark_pose=seen, is_searched=True)
         if not is_sought:
-            return Relocalization(self.mode, particles, is_searched=is_searched)
+            return Relocalization(self.mode, particles, is_searched=search is not None)
         if self._searches_by_landmarks and by_landmarks is not None:
-            return Relocalization(self.mode, particles, awaits_landmarks=True, is_searched=is_searched)
+            return Relocalization(self.mode, particles, awaits_landmarks=True, is_searched=search is not None)
         if len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S:
             self._since_scan_search_s = 0.0
             return self._search_by_scan(particles, scan, rng)

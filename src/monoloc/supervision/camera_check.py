@@ -71,7 +71,7 @@ class CameraCheck:
         self._sum, self._information, self._view_count = 0.0, 0.0, 0.0
         self._measured_s = 0.0
         self.has_build_focal = has_build_focal
-        self._focal_error = _UNMEASURED_SD
+        self._measured_sd = _UNMEASURED_SD  # of the stated log-focal; the least in this flight, which has one camera
         self._scene_m = 0.0
 
     @property
@@ -85,7 +85,7 @@ class CameraCheck:
     @property
     def is_confirmed(self) -> bool:
         """Whether the stated focal length is the build's, or landmarks have confirmed it in this flight."""
-        return self.has_build_focal or self._focal_error <= _CONFIRMED_SD
+        return self.has_build_focal or self._measured_sd <= _CONFIRMED_SD
 
     @property
     def _difference(self) -> float:
@@ -100,7 +100,7 @@ class CameraCheck:
     def _stated_sd(self) -> float:
         """Of the log-focal of a camera that is not the build's: no less than what landmarks are sure of."""
         sure = self._difference - _SURE_SDS * self._sd if self._information > 0.0 else 0.0
-        return max(self._focal_error, sure)
+        return max(self._measured_sd, sure)
 
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
@@ -124,7 +124,7 @@ class CameraCheck:
         self._view_count = decay * self._view_count + part
         if self._measured_s >= _MEASURED_S:
             error = math.hypot(self._difference, self._sd, self._expected_sd)
-            self._focal_error = min(self._focal_error, max(WELL_OBSERVED_SD, error))  # a flight has one camera
+            self._measured_sd = min(self._measured_sd, max(WELL_OBSERVED_SD, error))
 
     def widened(self, belief: Estimate, depth: DepthPrediction | None) -> Estimate:
         """The belief with a covariance that allows for a wrong focal length.
