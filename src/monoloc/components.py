@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
@@ -31,7 +32,7 @@ class Components:
     depth: DepthSource
     odometry: Odometry | None
     likelihood: ScanLikelihood
-    landmarks: LandmarkLocalizer = field(default_factory=NoLandmarks)
+    landmarks: LandmarkLocalizer[Any] = field(default_factory=NoLandmarks)
 
 
 ComponentsFactory = Callable[[Bundle, Camera, LocalizerConfig], Components]

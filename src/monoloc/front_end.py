@@ -6,7 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ DepthOfFrame = Callable[[], DepthPrediction | None]
 """The depth of a frame once it is known; None where it is not predicted."""
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,6 @@ class Observation:
     """What was measured in one frame.
 
     Attributes:
-        color: (H, W, 3) uint8 RGB.
         elapsed_s: since the previous frame, 0 at the first.
         is_first: whether there is no previous frame.
         is_repeated: whether the image is the previous one, bit for bit. It says nothing of the camera's motion, so
@@ -51,10 +52,10 @@ class Observation:
         scan: points of the depth; empty without depth, where the image has no contrast and no sensor measured it, and
             where scans are left out.
         corners: odometry's corners whose depth parallax has refined; empty where scans are left out.
+        landmarks_seen: what the landmark localiser detects in the image, once it is asked for.
         down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
     """
 
-    color: NDArray[np.uint8]
     elapsed_s: float
     is_first: bool
     is_repeated: bool
@@ -68,6 +69,7 @@ class Observation:
     odometry_tracked: bool
     scan: Scan
     corners: Scan
+    landmarks_seen: Callable[[], Any]
     down_camera: FloatArray | None
 
     @property
@@ -96,9 +98,9 @@ class FrontEnd:
         rng: np.random.Generator,
         stage: Callable[[Stage], AbstractContextManager[None]] = lambda name: nullcontext(),
     ) -> None:
-        self._depth, self._odometry = components.depth, components.odometry
+        self._depth, self._odometry, self._landmarks = components.depth, components.odometry, components.landmarks
         self._camera, self._stage = camera, stage
-        self._pool = ThreadPoolExecutor(1, "depth") if config.threads == 2 else None
+        self._pool = ThreadPoolExecutor(1, "front end") if config.threads == 2 else None
         self._config, self._has_scans = config, "scan" not in config.without
         self._rng = rng
         self._is_first = True
@@ -128,7 +130,7 @@ class FrontEnd:
             measured_depth: of a depth sensor; None predicts it.
             down_camera: direction of gravity, (3,) unit vector, or None.
             measured_motion: since the previous frame, by another sensor; ignored at the first.
-            plan: number of scan points, and whether depth is predicted; None as the settings say.
+            plan: number of scan points, and whether depth and landmarks have their turn; None as the settings say.
 
         Raises:
             ValueError: the image does not have the camera's size or type, time runs backwards, or the motion does
@@ -148,6 +150,8 @@ class FrontEnd:
         has_depth = plan is None or plan.has_depth
         is_predicted = measured_depth is None and has_depth
         depth_of = self._predicted(color) if is_predicted else lambda: measured_depth if has_depth else None
+        has_landmarks = (plan is None or plan.has_landmarks) and not is_empty and not is_repeated
+        landmarks_seen = self._begun(partial(self._landmarks.detect, color), is_needed=has_landmarks)
         self._measured.append(None if self._is_first else measured_motion)
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
@@ -161,7 +165,6 @@ class FrontEnd:
             if self._has_scans:
                 scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
-            color=color,
             elapsed_s=elapsed_s,
             is_first=self._is_first,
             is_repeated=is_repeated,
@@ -175,6 +178,7 @@ class FrontEnd:
             odometry_tracked=self._is_first or self._odometry is None or tracks_translation(motion),
             scan=EMPTY_SCAN if is_repeated or (is_empty and measured_depth is None) else scan,
             corners=self._corners(motion) if motion is not None and self._has_scans else EMPTY_SCAN,
+            landmarks_seen=landmarks_seen,
             down_camera=down_camera,
         )
         self._is_first = False
@@ -191,13 +195,18 @@ class FrontEnd:
         self._previous = color.copy()
         return is_repeated
 
+    def _begun(self, work: Callable[[], _Result], is_needed: bool = True) -> Callable[[], _Result]:
+        """Begin work in the second thread, if there is one and it is needed; without, it is done when asked for."""
+        future = self._pool.submit(work) if self._pool is not None and is_needed else None
+        return cache(work if future is None else future.result)
+
     def _predicted(self, color: NDArray[np.uint8]) -> DepthOfFrame:
-        future = None if self._pool is None else self._pool.submit(self._depth, color)
+        depth_of = self._begun(partial(self._depth, color))
 
         @cache
         def wait() -> DepthPrediction:
             with self._stage("depth"):
-                depth = self._depth(color) if future is None else future.result()
+                depth = depth_of()
             return _checked_depth(depth, "the result of Components.depth")
 
         return wait

@@ -20,7 +20,7 @@ from monoloc.fusion.gravity import Gravity
 from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks
-from monoloc.landmarks.pnp import LandmarkMeasurement
+from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.localizer_config import LocalizerConfig
@@ -193,8 +193,9 @@ class Localizer:
         self._state, reasons = classify_state(supervision, previous)
         self._index += 1
         self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
+        # No level leaves out a search, nor what a start that may be rough takes.
         is_usual = self._is_followed and not relocalization.is_searched and not self._tracker.fusion.restarted
-        if self._budget is not None and is_usual:  # no level leaves out a search
+        if self._budget is not None and is_usual and not observation.is_first:
             # Their number changes after the weighing, so a step weighs as many as the one before left.
             self._budget.end(replace(plan, particles=len(relocalization.particles)))
         return Step(
@@ -246,7 +247,7 @@ class Localizer:
             observation.elapsed_s,
             self._integrity.probability_wrong,
             self._state not in VOUCHED_FOR and not self._has_landmark_pose,
-            partial(self._landmarks.relocalize, observation.color) if observation.image_is_new else None,
+            partial(self._search_by_landmarks, observation) if observation.image_is_new else None,
             self._rng,
         )
         if relocalization.landmark_pose is not None:
@@ -256,6 +257,9 @@ class Localizer:
         elif relocalization.mode is not Mode.TRACKING:
             self._integrity.lose()
         return relocalization
+
+    def _search_by_landmarks(self, observation: Observation) -> LandmarkPose | None:
+        return self._landmarks.relocalize(observation.landmarks_seen())
 
     def _update_particles(
         self, observation: Observation, relocalization: Relocalization, count: int
@@ -338,7 +342,7 @@ class Localizer:
         if relocalization.mode is not Mode.TRACKING or starts_anew or not observation.image_is_new:
             return None
         with self._stage("landmarks"):
-            return self._landmarks.measure(observation.color, prior.pose, prior.covariance)
+            return self._landmarks.measure(observation.landmarks_seen(), prior.pose, prior.covariance)
 
     def _supervise(
         self,

@@ -13,11 +13,14 @@ from typing import Literal
 import numpy as np
 
 _FEW_PARTICLES, _FEW_POINTS = 100, 100
-# Times of a stage that its cost is estimated from, and the percentile that counts: with fewer times nothing is
-# decided, and single ones, in which the system did something else, do not count.
-_KEPT, _LEAST_KEPT, _PERCENTILE = 50, 5, 95.0
+# Times of a stage that its cost is estimated from, the least number with which a level is chosen, and the percentile
+# that counts: of many times, single ones, in which the system did something else, do not.
+_KEPT, _LEAST_KEPT, _PERCENTILE = 50, 2, 95.0
 # The level falls where it would have kept the budget with this share of it for so many frames, and rises at once.
-_CALM_SHARE, _CALM_FRAMES = 0.8, 50
+_CALM_SHARE, _CALM_FRAMES = 0.9, 50
+# A part of a weighing's time does not depend on how many particles and points there are: with a sixth of their
+# product, it takes 0.43 times as long.
+_WEIGHING_POWER = 0.5
 
 
 class Level(IntEnum):
@@ -95,7 +98,7 @@ class StepBudget:
         self._particles, self._scan_points = particles, scan_points
         self._stage_ms: dict[Stage, float] = {}
         self._began_s = 0.0
-        self._depth_ms, self._landmarks_ms, self._rest_ms, self._pair_ms = (
+        self._depth_ms, self._landmarks_ms, self._rest_ms, self._unit_ms = (
             deque[float](maxlen=_KEPT) for _ in range(4)
         )
         self._calm_frames = 0
@@ -122,7 +125,7 @@ class StepBudget:
         self._rest_ms.append(1e3 * (self._clock() - self._began_s) - sum(taken.values()))
         if plan.has_depth:
             self._depth_ms.append(taken.get("depth", 0.0))
-            self._pair_ms.append(taken.get("weighing", 0.0) / (plan.particles * plan.scan_points))
+            self._unit_ms.append(taken.get("weighing", 0.0) / _weighing_units(plan))
         if plan.has_landmarks:
             self._landmarks_ms.append(taken.get("landmarks", 0.0))
         if len(self._rest_ms) >= _LEAST_KEPT:
@@ -142,22 +145,24 @@ class StepBudget:
             self.level, self._calm_frames = lighter, 0
 
     def _expected_ms(self, level: Level) -> float:
-        """Time of the slowest steps at a level.
-
-        A weighing's time is taken to be proportional to particles and points. It has a part that is not, so a level
-        with fewer is expected to be too fast at first, and one with more to be too slow.
-        """
-        depth_ms, landmarks_ms, rest_ms, pair_ms = (
-            float(np.percentile(times, _PERCENTILE)) if times else 0.0
-            for times in (self._depth_ms, self._landmarks_ms, self._rest_ms, self._pair_ms)
-        )
+        """Time of the slowest steps at a level; the times of their stages vary independently."""
+        stages = (self._rest_ms, self._depth_ms, self._landmarks_ms, self._unit_ms)
+        median, slow = (np.array([_percentile(times, share) for times in stages]) for share in (50.0, _PERCENTILE))
         slowest = 0.0
         for index in range(2):
             plan = plan_of(level, index, self._particles, self._scan_points, is_tracking=True)
-            weighing_ms = pair_ms * plan.particles * plan.scan_points
-            step_ms = rest_ms + plan.has_depth * (depth_ms + weighing_ms) + plan.has_landmarks * landmarks_ms
-            slowest = max(slowest, step_ms)
+            parts = np.array([1.0, plan.has_depth, plan.has_landmarks, plan.has_depth * _weighing_units(plan)])
+            slowest = max(slowest, float(parts @ median + np.linalg.norm(parts * (slow - median))))
         return slowest
+
+
+def _percentile(times_ms: deque[float], share: float) -> float:
+    return float(np.percentile(times_ms, share)) if times_ms else 0.0
+
+
+def _weighing_units(plan: StepPlan) -> float:
+    """To which the time of a plan's weighing is taken to be proportional."""
+    return float((plan.particles * plan.scan_points) ** _WEIGHING_POWER)
 
 
 def level_counts(counts: Mapping[Level, int]) -> dict[str, int]:

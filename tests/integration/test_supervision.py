@@ -55,9 +55,11 @@ class Flights:
         shares = {"familiar_found": evidence.familiar_found, "strange_found": evidence.strange_found}
         self.integrity = plausible_integrity(thresholds).model_copy(update=shares)
 
-    def localizer(self, first: int = 0, landmarks: Landmarks | None = None, **given: Any) -> Localizer:
+    def localizer(
+        self, first: int = 0, landmarks: Landmarks | None = None, threads: int = 1, **given: Any
+    ) -> Localizer:
         start = scatter(self.recording.poses[first], SETTINGS.particles, 0.02, 0.01, 0.0, np.random.default_rng(0))
-        settings = SETTINGS.model_copy(update={"landmark_bias": self.bias})
+        settings = SETTINGS.model_copy(update={"landmark_bias": self.bias, "threads": threads})
         known = self.landmarks if landmarks is None else landmarks
         poses = self.recording.poses[::10]
         given = {"integrity": self.integrity} | given
@@ -83,6 +85,19 @@ def test_flight_is_tracking_throughout(flights: Flights) -> None:
     steps = follow(flights.localizer(), flights.recording, frames)
     assert set(states(steps)) == {"tracking"} and all(step.reasons == frozenset() for step in steps)
     assert flights.errors_m(steps, frames).max() < 0.03 and steps[-1].probability_far < 0.001
+
+
+def test_landmarks_of_two_threads_are_the_same_to_the_last_bit(flights: Flights) -> None:
+    """After a kidnap too, where a search and the belief look for landmarks in the same image."""
+
+    def steps(threads: int) -> list[Step]:
+        localizer, kidnapped = flights.localizer(threads=threads), range(FRAMES - 1, FRAMES - 1 - SOON, -1)
+        return [*follow(localizer, flights.recording, range(8)), *follow(localizer, flights.recording, kidnapped)]
+
+    for one, two in zip(steps(1), steps(2), strict=True):
+        np.testing.assert_array_equal(one.estimate.pose, two.estimate.pose)
+        np.testing.assert_array_equal(one.estimate.covariance, two.estimate.covariance)
+        assert one.state == two.state and (one.landmark_pose is None) is (two.landmark_pose is None)
 
 
 def test_kidnapped_camera_is_not_tracking_until_landmarks_find_it(flights: Flights) -> None:

@@ -203,13 +203,13 @@ def test_landmarks_relocalize_without_a_prior(kitchen, unadapted):
     room, recording = read_bundle(unadapted[0]), open_recording(kitchen)
     localizer, found = OrbLandmarkLocalizer(room.landmarks, recording.camera), []
     for index in range(4, 200, 16):
-        measured = localizer.relocalize(recording.color(index))
+        measured = localizer.relocalize(localizer.detect(recording.color(index)))
         if measured is not None:
             found.append(np.linalg.norm(measured.pose[:3, 3] - recording.poses[index, :3, 3]))
     assert len(found) >= 10 and np.median(found) < 0.04 and max(found) < 0.3
     # Nor is there a wrong one in a part of the kitchen that no build frame saw.
     for index in range(320, 360, 10):
-        measured = localizer.relocalize(recording.color(index))
+        measured = localizer.relocalize(localizer.detect(recording.color(index)))
         assert measured is None or np.linalg.norm(measured.pose[:3, 3] - recording.poses[index, :3, 3]) < 0.5
 
 

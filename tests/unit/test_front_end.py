@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,12 @@ from monoloc.components import Components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd
 from monoloc.geometry import FloatArray, se3_exp, so3_exp
+from monoloc.landmarks.pnp import LandmarkLocalizer, NoLandmarks
 from monoloc.likelihood.scan import scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.scale_tilt import ScaleTiltConfig, correct_scale_and_tilt
+from monoloc.step_budget import StepPlan
 
 CAMERA = Camera(80, 64, 70.0, 70.0, 39.5, 31.5)
 DEPTH_CAMERA = CAMERA.resized(40, 32)
@@ -47,6 +50,16 @@ class _Depth:
         return PREDICTED
 
 
+class _Landmarks(NoLandmarks):
+    """Notes the thread of every detection."""
+
+    def __init__(self) -> None:
+        self.threads: list[int] = []
+
+    def detect(self, color: NDArray[np.uint8]) -> None:
+        self.threads.append(threading.get_ident())
+
+
 class _Odometry:
     """Has one motion after another, and None thereafter."""
 
@@ -68,9 +81,12 @@ class _Odometry:
 
 
 def make_front_end(
-    odometry: _Odometry | None = None, config: LocalizerConfig = CONFIG, depth: _Depth | None = None
+    odometry: _Odometry | None = None,
+    config: LocalizerConfig = CONFIG,
+    depth: _Depth | None = None,
+    landmarks: LandmarkLocalizer[Any] | None = None,
 ) -> FrontEnd:
-    components = Components(depth or _Depth(), odometry, likelihood=None)
+    components = Components(depth or _Depth(), odometry, likelihood=None, landmarks=landmarks or NoLandmarks())
     return FrontEnd(components, CAMERA, config, np.random.default_rng(0))
 
 
@@ -166,6 +182,22 @@ def test_repeated_image_gives_neither_motion_nor_scan(depth: DepthPrediction | N
     at_once = front_end.observe(COLOR, 0.0, depth, None)  # as streams do that give an image twice with one time stamp
     assert at_once.repeated_s == 0.0 and at_once.is_repeated and not at_once.image_is_new
     assert front_end.observe(COLOR, 0.1, depth, None).repeated_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_landmarks_are_detected_once_and_beside_the_odometry_with_a_second_thread(threads: int) -> None:
+    landmarks, here = _Landmarks(), threading.get_ident()
+    front_end = make_front_end(config=CONFIG.model_copy(update={"threads": threads}), landmarks=landmarks)
+    observation = front_end.observe(COLOR, 0.1, None, None)
+    for _ in range(2):
+        observation.landmarks_seen()
+    assert len(landmarks.threads) == 1 and (landmarks.threads[0] == here) is (threads == 1)
+    # Not in a repeated image, nor where it is not their turn, unless a search asks for them.
+    front_end.observe(COLOR, 0.1, None, None)
+    observation = front_end.observe(NEXT, 0.1, None, None, plan=StepPlan(100, 50, has_landmarks=False))
+    assert len(landmarks.threads) == 1
+    observation.landmarks_seen()
+    assert len(landmarks.threads) == 2
 
 
 def test_an_image_that_could_not_be_read_is_refused() -> None:

@@ -86,8 +86,8 @@ def bench_floor(cloud: FloatArray, sizes: FloorSizes, rng: np.random.Generator, 
         seconds, starts_s = [], []
         for each in (few, many):
             localizer, seen = OrbLandmarkLocalizer(each, _CAMERA), _seen(each, pose, rng)
-            starts_s.append(_seconds(partial(localizer.relocalize_keypoints, seen), 2))
-            near_prior = partial(localizer.measure_keypoints, seen, pose, PRIOR_COVARIANCE)
+            starts_s.append(_seconds(partial(localizer.relocalize, seen), 2))
+            near_prior = partial(localizer.measure_near, seen, pose, PRIOR_COVARIANCE)
             seconds.append(_seconds(near_prior, sizes.rounds))
         done(4)
     return FloorFigures(

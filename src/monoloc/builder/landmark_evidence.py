@@ -188,7 +188,7 @@ def measure_views(
     """
     localizer = OrbLandmarkLocalizer(landmarks, camera)
     measured = [
-        localizer.measure_keypoints(each.keypoints, pose, PRIOR_COVARIANCE)
+        localizer.measure_near(each.keypoints, pose, PRIOR_COVARIANCE)
         for each, pose in zip(corners, poses, strict=True)
     ]
     found = np.zeros((len(poses), len(landmarks)), dtype=np.bool_)
@@ -220,7 +220,7 @@ def _localized(
     found, found_wrong = [], []
     for index in of.tolist():
         keypoints = corners[index].keypoints
-        measured = localizer.measure_keypoints(keypoints, poses[index], PRIOR_COVARIANCE)
+        measured = localizer.measure_near(keypoints, poses[index], PRIOR_COVARIANCE)
         found.append(measured.found)
         if measured.pose is not None:
             seen[index] = measured.pose
@@ -228,7 +228,7 @@ def _localized(
         if distances_m.max() >= WRONG_DISTANCE_M:
             # The nearest of the poses that are far enough away: they see most of the same landmarks.
             other = int(np.argmin(np.where(distances_m >= WRONG_DISTANCE_M, distances_m, np.inf)))
-            measured = localizer.measure_keypoints(keypoints, poses[other], PRIOR_COVARIANCE)
+            measured = localizer.measure_near(keypoints, poses[other], PRIOR_COVARIANCE)
             if measured.pose is None or pose_distance_m(poses[index], measured.pose.pose[None])[0] > FAR_M:
                 found_wrong.append(measured.found)
     twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]

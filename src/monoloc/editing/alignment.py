@@ -130,7 +130,7 @@ def poses_by_landmarks(bundle: Bundle, recording: Recording) -> PosedFrames:
     localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
     frames, poses = [], []
     for index in evenly_spaced(len(recording), LOOKED_AT).tolist():
-        found = localizer.relocalize(recording.color(index))
+        found = localizer.relocalize(localizer.detect(recording.color(index)))
         if found is not None:
             frames.append(index)
             poses.append(found.pose)

@@ -68,7 +68,7 @@ def _views(landmarks: Landmarks, corners: list[Corners], camera: Camera, poses: 
     localizer = OrbLandmarkLocalizer(landmarks, camera)
     found = np.zeros((len(poses), len(landmarks)), dtype=np.bool_)
     for row, each, pose in zip(found, corners, poses, strict=True):
-        measured = localizer.measure_keypoints(each.keypoints, pose, PRIOR_COVARIANCE)
+        measured = localizer.measure_near(each.keypoints, pose, PRIOR_COVARIANCE)
         row[measured.visible[measured.is_found]] = True
     return LandmarkViews(poses, found)
 

@@ -91,10 +91,14 @@ class OrbLandmarkLocalizer:
 
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
-        self._detect = KeypointDetector(camera)
+        self._detector = KeypointDetector(camera)
         self._cells = LandmarkCells(landmarks)
 
-    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+    def detect(self, color: NDArray[np.uint8]) -> Keypoints:
+        """As :meth:`LandmarkLocalizer.detect`."""
+        return self._detector(color)
+
+    def measure(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
 
         Where two places that look alike are both within such a prior, nothing is measured.
@@ -104,25 +108,20 @@ class OrbLandmarkLocalizer:
         """
         stated, covariance = covariance, covariance + PRIOR_COVARIANCE
         possible, local = self._possible(prior)
-        seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
             return self._agreeing(seen, prior, covariance, (possible, local)).measurement()
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         found = self._confirmed(seen, possible)
         if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
-            return LandmarkMeasurement(len(self._detect.camera.in_view(local)[0]))
+            return LandmarkMeasurement(len(self._detector.camera.in_view(local)[0]))
         measured = found.measurement()
         is_expected = partial(is_within_prior, prior=prior, covariance=stated)
         if measured.pose is not None and self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
             return LandmarkMeasurement()  # they do not tell which of the places it is
         return measured
 
-    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
+    def relocalize(self, seen: Keypoints) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
-        return self.relocalize_keypoints(self._detect(color))
-
-    def relocalize_keypoints(self, seen: Keypoints) -> LandmarkPose | None:
-        """As :meth:`relocalize`, from keypoints that are detected already."""
         found, is_only_place = self.best_place(seen)
         return found if is_only_place else None
 
@@ -134,14 +133,14 @@ class OrbLandmarkLocalizer:
             return None, False
         return found, not self._fits_elsewhere(seen, agreement.keypoints, found)
 
-    def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
-        """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
+    def measure_near(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        """As :meth:`measure`, with the prior's covariance as it is, and every landmark sought near its pixel."""
         return self._agreeing(seen, prior, covariance, self._possible(prior)).measurement()
 
     def matched_keypoints(
         self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64], NDArray[np.int64]]:
-        """As :meth:`measure_keypoints`, with the indices, (A,), of landmarks that agree and of their keypoints."""
+        """As :meth:`measure_near`, with the indices, (A,), of landmarks that agree and of their keypoints."""
         agreement = self._agreeing(seen, prior, covariance, self._possible(prior))
         return agreement.measurement(), agreement.possible[agreement.found], agreement.keypoints
 
@@ -158,7 +157,7 @@ class OrbLandmarkLocalizer:
             sought: of :meth:`_possible` at the prior.
         """
         possible, local = sought
-        camera, room = self._detect.camera, self._landmarks
+        camera, room = self._detector.camera, self._landmarks
         expected = camera.project(local)
         which, where = match_descriptors(
             expected,
@@ -169,7 +168,7 @@ class OrbLandmarkLocalizer:
         )
         points = room.points[possible[which]].astype(np.float64)
         agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
-        is_shown = self._detect.reaches(expected) & _is_shown(expected, seen.pixels, camera)
+        is_shown = self._detector.reaches(expected) & _is_shown(expected, seen.pixels, camera)
         return _Agreement(possible, camera.contains(expected), is_shown, which[agree], where[agree], fit)
 
     def _possible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
@@ -177,15 +176,15 @@ class OrbLandmarkLocalizer:
 
         Also those a little beyond the border of the image, since the prior may be wrong by so much.
         """
-        nearby, points = self._cells.nearby(prior, self._detect.camera)
+        nearby, points = self._cells.nearby(prior, self._detector.camera)
         local = transform(invert(prior), points)
-        possible = np.flatnonzero(self._detect.camera.in_sight(local))
+        possible = np.flatnonzero(self._detector.camera.in_sight(local))
         return nearby.take(possible), local.take(possible, axis=0)
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
         depth_m = float(np.median(local[:, 2])) if len(local) else 1.0
-        return max(_LEAST_RADIUS_PX, 3.0 * self._detect.camera.focal_px * _direction_sd(covariance, depth_m))
+        return max(_LEAST_RADIUS_PX, 3.0 * self._detector.camera.focal_px * _direction_sd(covariance, depth_m))
 
     def _pose_without_prior(self, seen: Keypoints, possible: NDArray[np.int64]) -> FloatArray | None:
         """``T_world_camera`` (4, 4) from descriptors of some landmarks; None where too few agree."""
@@ -231,7 +230,7 @@ class OrbLandmarkLocalizer:
     def _spread(self, pixels: FloatArray) -> float:
         """Standard deviation of pixels (A, 2) along the direction in which it is least, in image heights."""
         variance = float(np.linalg.eigvalsh(np.cov(pixels.T))[0])
-        camera = self._detect.camera
+        camera = self._detector.camera
         return math.sqrt(max(variance, 0.0)) / min(camera.height, _TALLEST * camera.focal_px)
 
     def _fits_elsewhere(
@@ -252,7 +251,7 @@ class OrbLandmarkLocalizer:
         points = self._landmarks.points[nearest]
         local = transform(invert(found.pose), points.reshape(-1, 3)).reshape(points.shape)
         off_m = np.linalg.norm(
-            local[..., :2] - local[..., 2:] * agreeing.rays(self._detect.camera)[0][:, None], axis=2
+            local[..., :2] - local[..., 2:] * agreeing.rays(self._detector.camera)[0][:, None], axis=2
         )
         is_rival = (off_m > _OTHER_PLACE_M) & (bits < MATCH_BITS)
         # Several places may look alike; each is as wide as what agrees.
@@ -285,7 +284,7 @@ class OrbLandmarkLocalizer:
         """
         rows, best = np.flatnonzero(bits.min(axis=1) < MATCH_BITS), bits.argmin(axis=1)
         other = self._pose_by_consensus(agreeing.select(rows), nearest[rows, best[rows]], _RIVAL_TRIPLES)
-        rival = None if other is None else self.measure_keypoints(seen, other, PRIOR_COVARIANCE).pose
+        rival = None if other is None else self.measure_near(seen, other, PRIOR_COVARIANCE).pose
         if rival is None or float(pose_distance_m(found.pose, rival.pose[None])[0]) < _APART_M:
             return None
         return rival.pose if len(rival.points) >= _RIVAL_SHARE * len(found.points) else None
@@ -311,7 +310,7 @@ class OrbLandmarkLocalizer:
             triples: of RANSAC, at most.
         """
         points = self._landmarks.points[landmarks].astype(np.float64)
-        return pose_by_consensus(points, seen, self._detect.camera, triples)
+        return pose_by_consensus(points, seen, self._detector.camera, triples)
 
 
 def _is_shown(pixels: FloatArray, keypoints: FloatArray, camera: Camera) -> NDArray[np.bool_]:

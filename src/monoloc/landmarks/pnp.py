@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,13 +113,25 @@ def is_within_prior(pose: FloatArray, prior: FloatArray, covariance: FloatArray)
     return float(offset @ np.linalg.solve(covariance + PRIOR_COVARIANCE, offset)) < CHI2_6_QUANTILE_99
 
 
-class LandmarkLocalizer(Protocol):
+Seen = TypeVar("Seen")
+"""What a :class:`LandmarkLocalizer` detects in an image, such as keypoints."""
+
+
+class LandmarkLocalizer(Protocol[Seen]):
     """Measures poses by landmarks; :class:`monoloc.landmarks.orb_localizer.OrbLandmarkLocalizer` is one."""
 
-    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
-        """Landmarks in an image (H, W, 3) uint8 RGB, near a prior.
+    def detect(self, color: NDArray[np.uint8]) -> Seen:
+        """What an image (H, W, 3) uint8 RGB shows, before anything is known of the pose.
+
+        With ``threads = 2``, it runs in another thread, beside the odometry.
+        """
+        ...
+
+    def measure(self, seen: Seen, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        """Landmarks in an image, near a prior.
 
         Args:
+            seen: of :meth:`detect`.
             prior: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
 
         Returns:
@@ -127,10 +139,13 @@ class LandmarkLocalizer(Protocol):
         """
         ...
 
-    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
-        """Pose from an image (H, W, 3) uint8 RGB, without a prior; None where too few landmarks agree.
+    def relocalize(self, seen: Seen) -> LandmarkPose | None:
+        """Pose from an image, without a prior; None where too few landmarks agree.
 
         It must be strict: this pose overrules the scan.
+
+        Args:
+            seen: of :meth:`detect`.
         """
         ...
 
@@ -138,10 +153,13 @@ class LandmarkLocalizer(Protocol):
 class NoLandmarks:
     """For a room without landmarks."""
 
-    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+    def detect(self, color: NDArray[np.uint8]) -> None:
+        return None
+
+    def measure(self, seen: None, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         return LandmarkMeasurement()
 
-    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
+    def relocalize(self, seen: None) -> LandmarkPose | None:
         return None
 
 

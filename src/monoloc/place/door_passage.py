@@ -67,8 +67,8 @@ def observe_passage(a: Bundle, b: Bundle, recording: Recording, progress: Progre
     with progress.task("door", 2 * len(recording)) as show:
         for index in range(len(recording)):
             seen = detect(recording.color(index))
-            in_a.append(rooms[0].relocalize_keypoints(seen))
-            in_b.append(rooms[1].relocalize_keypoints(seen))
+            in_a.append(rooms[0].relocalize(seen))
+            in_b.append(rooms[1].relocalize(seen))
             show(index + 1)
         room, found = (a, in_a) if _first(in_a) <= _first(in_b) else (b, in_b)
         motions, sds = _motions(room, found, recording, lambda done: show(len(recording) + done))

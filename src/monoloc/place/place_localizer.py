@@ -266,5 +266,5 @@ class PlaceLocalizer:
 
     def _found(self, room: str, seen: Keypoints, belief: Estimate) -> int:
         """Landmarks of a room that agree on one pose near a belief in its world."""
-        measured = self._rooms[room].landmarks.measure_keypoints(seen, belief.pose, belief.covariance)
+        measured = self._rooms[room].landmarks.measure_near(seen, belief.pose, belief.covariance)
         return 0 if measured.pose is None else measured.found

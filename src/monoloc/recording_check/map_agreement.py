@@ -58,7 +58,7 @@ def compare_with_map(bundle: Bundle, recording: Recording) -> MapAgreement:
     """
     chosen = evenly_spaced(len(recording), _FRAMES)
     localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
-    places = [localizer.relocalize(recording.color(index)) for index in chosen.tolist()]
+    places = [localizer.relocalize(localizer.detect(recording.color(index))) for index in chosen.tolist()]
     found = [(index, place) for index, place in zip(chosen.tolist(), places, strict=True) if place is not None]
     focal, focal_log_sd = _focal([place for _, place in found], bundle.integrity.focal_mean)
     if recording.poses is None or len(found) < LEAST_FOUND:

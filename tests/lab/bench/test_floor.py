@@ -17,6 +17,6 @@ def test_the_camera_is_found_among_the_landmarks_of_all_rooms() -> None:
     pose = weighing(cloud, 1, 50, rng).poses[0]
     landmarks = floor._landmarks(cloud, fit_mixture(cloud, 20, rng).mixture, 6000, 5, rng)
     localizer = OrbLandmarkLocalizer(landmarks, floor._CAMERA)
-    found = localizer.relocalize_keypoints(floor._seen(landmarks, pose, rng))
+    found = localizer.relocalize(floor._seen(landmarks, pose, rng))
     assert len(landmarks) == 30_000 and found is not None
     assert pose_distance_m(pose, found.pose[None])[0] < 0.05

@@ -49,7 +49,7 @@ def test_errors_of_another_flight_are_as_measured(built: tuple[Landmarks, BiasMo
     rng, squares = np.random.default_rng(0), []
     for pose in FLIGHT_POSES[::5]:
         prior = pose @ se3_exp(np.sqrt(np.diag(PRIOR_COVARIANCE)) * rng.standard_normal(6))
-        found = localizer.measure(Room().view(pose)[0], prior, PRIOR_COVARIANCE).pose
+        found = localizer.measure(localizer.detect(Room().view(pose)[0]), prior, PRIOR_COVARIANCE).pose
         assert found is not None
         error = se3_log(invert(found.pose) @ pose)
         squares.append(error @ np.linalg.solve(found.covariance + np.diag(bias.sds(0.0) ** 2), error))

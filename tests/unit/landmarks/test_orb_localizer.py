@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.geometry import invert, make_pose, se3_exp, transform
+from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, transform
 from monoloc.landmarks import orb_localizer
 from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import LandmarkMeasurement, NoLandmarks
+from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose, NoLandmarks
 from monoloc.progress import NoProgress
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
@@ -31,11 +32,21 @@ def localizer() -> OrbLandmarkLocalizer:
     return OrbLandmarkLocalizer(landmarks, CAMERA)
 
 
+def measure(
+    localizer: OrbLandmarkLocalizer, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray
+) -> LandmarkMeasurement:
+    return localizer.measure(localizer.detect(color), prior, covariance)
+
+
+def relocalize(localizer: OrbLandmarkLocalizer, color: NDArray[np.uint8]) -> LandmarkPose | None:
+    return localizer.relocalize(localizer.detect(color))
+
+
 def test_camera_is_relocalized_by_one_image(localizer: OrbLandmarkLocalizer) -> None:
     """Without a prior, or with one that is too vague."""
     for pose in FLIGHT_POSES[5::20]:
         color, _ = Room().view(pose)
-        for found in (localizer.relocalize(color), localizer.measure(color, BUILD_POSES[0], VAGUE_PRIOR).pose):
+        for found in (relocalize(localizer, color), measure(localizer, color, BUILD_POSES[0], VAGUE_PRIOR).pose):
             assert found is not None and len(found.points) >= 20
             errors = pose_errors(found.pose[None], pose[None])
             assert errors.position_m[0] < 0.03 and errors.rotation_rad[0] < 0.015
@@ -53,7 +64,7 @@ def test_view_that_determines_the_pose_is_not_matched_around_others(
     monkeypatch.setattr(orb_localizer, "match_descriptors", counted)
     for pose in FLIGHT_POSES[5::20]:
         matched.append(0)
-        assert localizer.relocalize(Room().view(pose)[0]) is not None
+        assert relocalize(localizer, Room().view(pose)[0]) is not None
     assert max(matched) <= 2  # of 5 that a flat view may take
 
 
@@ -69,16 +80,16 @@ def test_two_places_that_look_alike_give_no_pose(localizer: OrbLandmarkLocalizer
     )
     for pose in FLIGHT_POSES[5::20]:
         color, _ = Room().view(pose)
-        mistaken = OrbLandmarkLocalizer(twin, CAMERA).relocalize(color)
+        mistaken = relocalize(OrbLandmarkLocalizer(twin, CAMERA), color)
         assert mistaken is not None and mistaken.pose[0, 3] - pose[0, 3] == pytest.approx(apart_m, abs=0.03)
-        assert OrbLandmarkLocalizer(both, CAMERA).relocalize(color) is None
+        assert relocalize(OrbLandmarkLocalizer(both, CAMERA), color) is None
 
 
 def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLocalizer) -> None:
     """The same number of landmarks all over the image does."""
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
-    room, camera = localizer._landmarks, localizer._detect.camera
+    room, camera = localizer._landmarks, localizer._detector.camera
     local = transform(invert(pose), room.points)
     seen = np.flatnonzero(camera.in_sight(local))
     height = camera.project(local[seen])[:, 1]
@@ -88,9 +99,9 @@ def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLoca
         OrbLandmarkLocalizer(Landmarks(room.points[chosen], room.descriptors[chosen]), CAMERA)
         for chosen in (band, anywhere)
     )
-    found = narrow.measure(color, pose, PRIOR)
+    found = measure(narrow, color, pose, PRIOR)
     assert found.found >= 20 and found.pose is not None
-    assert narrow.relocalize(color) is None and wide.relocalize(color) is not None
+    assert relocalize(narrow, color) is None and relocalize(wide, color) is not None
 
 
 def test_landmarks_in_a_small_part_of_a_wide_image_relocalize(localizer: OrbLandmarkLocalizer) -> None:
@@ -100,10 +111,10 @@ def test_landmarks_in_a_small_part_of_a_wide_image_relocalize(localizer: OrbLand
     height = CAMERA.project(local)[:, 1]
     seen = CAMERA.in_sight(local) & (np.abs(height - CAMERA.cy) < 0.3 * CAMERA.height)
     known = Landmarks(room.points[seen], room.descriptors[seen])
-    assert OrbLandmarkLocalizer(known, CAMERA).relocalize(Room().view(pose)[0]) is not None
+    assert relocalize(OrbLandmarkLocalizer(known, CAMERA), Room().view(pose)[0]) is not None
     side = round(2.8 * CAMERA.focal_px)
     wide = Camera(side, side, CAMERA.focal_px, CAMERA.focal_px, (side - 1) / 2.0, (side - 1) / 2.0)
-    found = OrbLandmarkLocalizer(known, wide).relocalize(Room().view(pose, wide)[0])
+    found = relocalize(OrbLandmarkLocalizer(known, wide), Room().view(pose, wide)[0])
     assert found is not None
     assert pose_errors(found.pose[None], pose[None]).position_m[0] < 0.03
 
@@ -118,13 +129,13 @@ def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it
     color, _ = Room().view(pose)
     covariance = np.diag([0.3, 0.3, 0.3, 0.1, 0.1, 0.1]) ** 2
     near_it, far = pose @ se3_exp([0.2, 0.1, -0.2, 0.05, 0.1, 0.0]), pose @ se3_exp([1.6, 0.0, 0.0, 0.0, 0.0, 0.0])
-    found = OrbLandmarkLocalizer(both, CAMERA).measure(color, near_it, covariance)
+    found = measure(OrbLandmarkLocalizer(both, CAMERA), color, near_it, covariance)
     assert found.pose is not None and found.found == len(found.pose.points) >= 20
     assert pose_errors(found.pose.pose[None], pose[None]).position_m[0] < 0.03
     # Which landmarks are missing tells where the map has changed, also from near a surface, where priors are vague.
     assert len(found.visible) == found.expected > found.found
     np.testing.assert_array_equal(both.points[found.visible[found.is_found]], found.pose.points)
-    contradicted = OrbLandmarkLocalizer(both, CAMERA).measure(color, far, covariance)
+    contradicted = measure(OrbLandmarkLocalizer(both, CAMERA), color, far, covariance)
     assert contradicted.expected > 60 and contradicted.found == 0 and contradicted.pose is None
 
 
@@ -141,8 +152,8 @@ def test_vague_prior_that_holds_two_places_that_look_alike_measures_nothing(loca
     color, _ = Room().view(pose)
     for prior in (pose, pose @ se3_exp([0.4, 0.0, 0.0, 0.0, 0.0, 0.0])):
         vague = np.diag([0.4, 0.4, 0.4, 0.1, 0.1, 0.1]) ** 2
-        assert OrbLandmarkLocalizer(alone, CAMERA).measure(color, prior, vague).pose is not None
-        measured = OrbLandmarkLocalizer(both, CAMERA).measure(color, prior, vague)
+        assert measure(OrbLandmarkLocalizer(alone, CAMERA), color, prior, vague).pose is not None
+        measured = measure(OrbLandmarkLocalizer(both, CAMERA), color, prior, vague)
         assert measured.pose is None and measured.expected == measured.found == 0
 
 
@@ -151,8 +162,8 @@ def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer)
     other = Room(seed=1)
     for pose in FLIGHT_POSES[::20]:
         for color in (BLACK, other.view(pose)[0]):
-            assert localizer.relocalize(color) is None
-            measured = localizer.measure(color, pose, PRIOR)
+            assert relocalize(localizer, color) is None
+            measured = measure(localizer, color, pose, PRIOR)
             assert measured.pose is None and measured.found < 8 and measured.expected > 100
 
 
@@ -160,17 +171,17 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     """At a prior 1.5 m beside the camera, as many are in view, but few agree on a pose near it."""
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
-    right = localizer.measure(color, pose, PRIOR)
-    detected = localizer._detect.camera
+    right = measure(localizer, color, pose, PRIOR)
+    detected = localizer._detector.camera
     in_view = detected.in_sight(transform(invert(pose), localizer._landmarks.points))
     assert right.pose is not None and right.found == len(right.pose.points) > 60
     assert right.expected == np.count_nonzero(in_view) > right.found
     np.testing.assert_array_equal(right.visible, np.flatnonzero(in_view))
     np.testing.assert_array_equal(localizer._landmarks.points[right.visible[right.is_found]], right.pose.points)
-    wrong = localizer.measure(color, pose @ se3_exp([1.0, 0.0, -0.5, 0.0, 0.3, 0.0]), PRIOR)
+    wrong = measure(localizer, color, pose @ se3_exp([1.0, 0.0, -0.5, 0.0, 0.3, 0.0]), PRIOR)
     assert wrong.expected > 60 and wrong.found < 0.2 * right.found and wrong.pose is None
     away = make_pose(np.eye(3), np.array([0.0, -50.0, 0.0]))
-    assert localizer.measure(color, away, PRIOR).expected == 0
+    assert measure(localizer, color, away, PRIOR).expected == 0
 
 
 @pytest.mark.parametrize("window", [(160, 0, 160, 256), (0, 0, 320, 150), (0, 106, 320, 150)])
@@ -182,8 +193,8 @@ def test_landmarks_beyond_the_border_of_a_cropped_image_are_not_expected(
     pose = FLIGHT_POSES[30]
     color = np.ascontiguousarray(Room().view(pose)[0][top : top + height, left : left + width])
     cropped = OrbLandmarkLocalizer(localizer._landmarks, CAMERA.cropped(left, top, width, height))
-    detected = cropped._detect.camera
-    measured = cropped.measure_keypoints(cropped._detect(color), pose, PRIOR)
+    detected = cropped._detector.camera
+    measured = cropped.measure_near(cropped.detect(color), pose, PRIOR)
     pixels = detected.project(transform(invert(pose), localizer._landmarks.points[measured.visible]))
     assert measured.expected == len(pixels) > 60
     assert np.all((pixels > -1.5) & (pixels < [detected.width + 0.5, detected.height + 0.5]))
@@ -197,11 +208,11 @@ def test_landmarks_a_little_beyond_the_border_are_found_where_the_prior_is_wrong
     color = np.ascontiguousarray(Room().view(pose)[0][top : top + height, left : left + width])
     cropped = OrbLandmarkLocalizer(localizer._landmarks, CAMERA.cropped(left, top, width, height))
     prior = pose @ se3_exp([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])  # looks up
-    measured = cropped.measure(color, prior, PRIOR)
+    measured = measure(cropped, color, prior, PRIOR)
     found = measured.visible[measured.is_found]
-    pixels = cropped._detect.camera.project(transform(invert(prior), localizer._landmarks.points[found]))
+    pixels = cropped._detector.camera.project(transform(invert(prior), localizer._landmarks.points[found]))
     assert measured.pose is not None and measured.expected > measured.found
-    assert not cropped._detect.camera.contains(pixels).all()
+    assert not cropped._detector.camera.contains(pixels).all()
 
 
 @pytest.mark.parametrize("level", [30, 255])
@@ -210,14 +221,14 @@ def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
 ) -> None:
     pose = FLIGHT_POSES[30]
     color = Room().view(pose)[0].copy()
-    whole = localizer.measure(color, pose, PRIOR)
+    whole = measure(localizer, color, pose, PRIOR)
     local = transform(invert(pose), localizer._landmarks.points[whole.visible])
-    pixels = localizer._detect.camera.project(local)
-    is_inside = localizer._detect.reaches(pixels)
+    pixels = localizer._detector.camera.project(local)
+    is_inside = localizer._detector.reaches(pixels)
     np.testing.assert_array_equal(whole.is_shown, is_inside)  # the border shows no keypoint
     color[:, : color.shape[1] // 2] = level
-    covered = localizer.measure(color, pose, PRIOR)
-    columns = pixels[:, 0] / localizer._detect.camera.width
+    covered = measure(localizer, color, pose, PRIOR)
+    columns = pixels[:, 0] / localizer._detector.camera.width
     assert not covered.is_shown[columns < 0.4].any() and covered.is_shown[is_inside & (columns > 0.5)].all()
     assert covered.expected == whole.expected and covered.pose is not None
     given = LandmarkMeasurement(2, 1, None, np.array([3, 5]), np.array([True, False]))
@@ -238,24 +249,25 @@ def test_landmarks_are_expected_from_three_times_as_far_as_the_build_found_them_
         pose = FLIGHT_POSES[30].copy()
         pose[2, 3] += offset_m
         local = transform(invert(pose), points.astype(np.float64))
-        seen = floor._detect.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < sight_m)
-        measured = floor.measure_keypoints(nothing, pose, PRIOR)
+        seen = floor._detector.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < sight_m)
+        measured = floor.measure_near(nothing, pose, PRIOR)
         assert measured.expected == np.count_nonzero(seen) and measured.found == 0
     everywhere = OrbLandmarkLocalizer(Landmarks(points, np.tile(room.descriptors, (2, 1))), CAMERA)
-    measured = everywhere.measure_keypoints(nothing, FLIGHT_POSES[30], PRIOR)
+    measured = everywhere.measure_near(nothing, FLIGHT_POSES[30], PRIOR)
     local = transform(invert(FLIGHT_POSES[30]), points.astype(np.float64))
-    assert measured.expected == np.count_nonzero(everywhere._detect.camera.in_sight(local))
+    assert measured.expected == np.count_nonzero(everywhere._detector.camera.in_sight(local))
 
 
 def test_room_without_landmarks_expects_none() -> None:
-    assert NoLandmarks().measure(BLACK, np.eye(4), PRIOR) == LandmarkMeasurement(0, 0, None)
-    assert NoLandmarks().relocalize(BLACK) is None
+    nothing = NoLandmarks().detect(BLACK)
+    assert NoLandmarks().measure(nothing, np.eye(4), PRIOR) == LandmarkMeasurement(0, 0, None)
+    assert NoLandmarks().relocalize(nothing) is None
 
 
 def test_dim_images_show_most_landmarks(localizer: OrbLandmarkLocalizer) -> None:
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
-    bright, dim = (localizer.measure((color / factor).astype(np.uint8), pose, PRIOR) for factor in (1, 8))
+    bright, dim = (measure(localizer, (color / factor).astype(np.uint8), pose, PRIOR) for factor in (1, 8))
     assert bright.pose is not None and dim.pose is not None
     assert dim.expected == bright.expected and dim.found > 0.5 * bright.found
 
@@ -265,7 +277,7 @@ def test_camera_of_another_focal_length_is_localized(localizer: OrbLandmarkLocal
     camera, pose = Camera(640, 480, 700.0, 700.0, 319.5, 239.5), FLIGHT_POSES[20]
     color, _ = Room().view(pose, camera)
     other = OrbLandmarkLocalizer(localizer._landmarks, camera)
-    found = other.measure(color, pose @ se3_exp(np.full(6, 0.02)), PRIOR).pose
+    found = measure(other, color, pose @ se3_exp(np.full(6, 0.02)), PRIOR).pose
     assert found is not None
     assert pose_errors(found.pose[None], pose[None]).position_m[0] < 0.03  # 0.5 to 2.1 cm at fifteen poses
 
@@ -282,6 +294,6 @@ def test_search_radius_is_that_of_visible_landmarks() -> None:
     seen = Keypoints(camera.project(close), landmarks.descriptors[:120], np.ones(120))
     prior = se3_exp([0.03, -0.03, 0.0, 0.0, 0.0, 0.0])  # 16 pixels for what is close, one or two for the rest
     covariance = np.diag([0.02, 0.02, 0.02, 0.003, 0.003, 0.003]) ** 2
-    found = OrbLandmarkLocalizer(landmarks, CAMERA).measure_keypoints(seen, prior, covariance).pose
+    found = OrbLandmarkLocalizer(landmarks, CAMERA).measure_near(seen, prior, covariance).pose
     assert found is not None and len(found.points) > 100
     np.testing.assert_allclose(found.pose, np.eye(4), atol=1e-3)
