@@ -430,7 +430,8 @@ const std::map<std::string, std::function<void(const Call&)>> kFunctions = {
        const auto of = [&call](std::size_t i) -> monoloc::Descriptors {
          return {call.at<std::uint8_t>(i), call.count<std::uint8_t>(i, monoloc::kDescriptorBytes)};
        };
-       monoloc::nearest_descriptors(of(0), of(1), static_cast<std::size_t>(call.number(2)));
+       monoloc::nearest_descriptors(of(0), of(1), static_cast<std::size_t>(call.number(2)),
+                                     static_cast<int>(call.number(3)));
      }},
     {"find_consensus",
      [](const Call& call) {

@@ -154,13 +154,14 @@ nb::tuple match_descriptors(const Pixels& expected, const Descriptors& known, co
                         to_numpy(std::move(matches.keypoints), {count}));
 }
 
-nb::tuple nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept) {
+nb::tuple nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept,
+                              int most_bits) {
   require(kept <= known.shape(0), "kept must be at most the number of known descriptors");
   monoloc::Nearest nearest;
   {
     nb::gil_scoped_release release;
     nearest = monoloc::nearest_descriptors({descriptors.data(), descriptors.shape(0)}, {known.data(), known.shape(0)},
-                                           kept);
+                                           kept, most_bits);
   }
   const std::size_t count = descriptors.shape(0);
   return nb::make_tuple(to_numpy(std::move(nearest.bits), {count, kept}),
@@ -281,7 +282,7 @@ NB_MODULE(_core, m) {
         "behind"_a, "front"_a.noconvert(), "depth"_a.noconvert());
   m.def("match_descriptors", &match_descriptors, "expected"_a, "known"_a, "pixels"_a, "descriptors"_a, "radius_px"_a,
         "most_bits"_a);
-  m.def("nearest_descriptors", &nearest_descriptors, "descriptors"_a, "known"_a, "kept"_a);
+  m.def("nearest_descriptors", &nearest_descriptors, "descriptors"_a, "known"_a, "kept"_a, "most_bits"_a);
   m.def("find_consensus", &find_consensus, "points"_a, "rays"_a, "sd"_a, "nearest_m"_a, "most_sd"_a,
         "most_triples"_a, "confidence"_a);
   m.def("fit_pose", &fit_pose, "points"_a, "rays"_a, "sd"_a, "prior"_a, "information"_a, "kernel_sds"_a,

@@ -142,7 +142,8 @@ Matches match_descriptors(const Corners& landmarks, const Corners& keypoints, do
   return matches;
 }
 
-Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept) {
+Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept,
+                            int most_bits) {
   const std::vector<std::uint64_t> ours = words_of(descriptors), theirs = words_of(known);
   Nearest nearest{std::vector<std::int32_t>(descriptors.count * kept, kMoreThanAll),
                   std::vector<std::int64_t>(descriptors.count * kept)};
@@ -153,9 +154,10 @@ Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& k
     for (std::size_t d = 0; d < descriptors.count; ++d) {
       std::int32_t* best = nearest.bits.data() + kept * d;
       std::int64_t* at = nearest.known.data() + kept * d;
-      const std::size_t found = kernels().similar_descriptors(
-          ours.data() + kDescriptorWords * d, theirs.data() + kDescriptorWords * first, count,
-          static_cast<std::uint32_t>(best[kept - 1]), places.data(), bits.data());
+      const auto limit = static_cast<std::uint32_t>(std::clamp(most_bits, 0, best[kept - 1]));
+      const std::size_t found = kernels().similar_descriptors(ours.data() + kDescriptorWords * d,
+                                                              theirs.data() + kDescriptorWords * first, count, limit,
+                                                              places.data(), bits.data());
       for (std::size_t i = 0; i < found; ++i) {
         const auto differing = static_cast<std::int32_t>(bits[i]);
         if (differing >= best[kept - 1]) continue;

@@ -78,10 +78,13 @@ void test_nearest_descriptors() {
     const std::size_t ones = std::min<std::size_t>((599 - i) / 2, 256);
     for (std::size_t bit = 0; bit < ones; ++bit) known[i * monoloc::kDescriptorBytes + bit / 8] |= 1u << bit % 8;
   }
-  const monoloc::Nearest nearest = monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 5);
+  const monoloc::Nearest nearest = monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 5, 257);
   CHECK((nearest.bits == std::vector<std::int32_t>{0, 0, 1, 1, 2}));
   CHECK((nearest.known == std::vector<std::int64_t>{598, 599, 596, 597, 594}));
-  CHECK(monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 0).bits.empty());
+  CHECK(monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 0, 257).bits.empty());
+  const monoloc::Nearest few = monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 5, 2);
+  CHECK((few.bits == std::vector<std::int32_t>{0, 0, 1, 1, 257}));
+  CHECK((few.known == std::vector<std::int64_t>{598, 599, 596, 597, 0}));
 }
 
 void test_similar_descriptors(const monoloc::Kernels& kernels) {

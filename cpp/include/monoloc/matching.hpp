@@ -32,13 +32,14 @@ struct Descriptors {
   std::size_t count;
 };
 
-// Of each of N descriptors the `kept` nearest known ones, nearest first, (N, kept); of those as near, the first.
+// Of each of N descriptors the `kept` nearest known ones that differ by fewer than `most_bits`, nearest first,
+// (N, kept); of those as near, the first. Where there are fewer, the rest has one bit more than there are, and known 0.
 struct Nearest {
   std::vector<std::int32_t> bits;  // by which they differ
   std::vector<std::int64_t> known;
 };
 
 // `kept` is at most the number of known descriptors.
-Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept);
+Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept, int most_bits);
 
 }  // namespace monoloc

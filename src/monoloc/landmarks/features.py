@@ -114,9 +114,9 @@ def match_descriptors(
 
 
 def nearest_descriptors(
-    descriptors: NDArray[np.uint8], known: NDArray[np.uint8], count: int
+    descriptors: NDArray[np.uint8], known: NDArray[np.uint8], count: int, most_bits: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """The most similar known descriptors, most similar first; of several that are as near, the first.
+    """The most similar known descriptors, most similar first; of several that are as similar, the first.
 
     All pairs are compared: half a second for 600 descriptors and a million known ones. NumPy twin:
     :func:`monoloc.landmarks.landmark_numpy_twins.nearest_descriptors`.
@@ -125,8 +125,9 @@ def nearest_descriptors(
         descriptors: (N, 32).
         known: (L, 32).
         count: C, at most L.
+        most_bits: only those that differ by fewer count.
 
     Returns:
-        Differing bits and indices, (N, C) each.
+        Differing bits and indices, (N, C) each; where fewer count, 257 and 0 in the rest of the row.
     """
-    return _core.nearest_descriptors(descriptors, known, count)
+    return _core.nearest_descriptors(descriptors, known, count, most_bits)

@@ -46,12 +46,14 @@ def match_descriptors(
 
 
 def nearest_descriptors(
-    descriptors: NDArray[np.uint8], known: NDArray[np.uint8], kept: int
+    descriptors: NDArray[np.uint8], known: NDArray[np.uint8], kept: int, most_bits: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """As :func:`monoloc.landmarks.features.nearest_descriptors`."""
     bits = _ONES[descriptors[:, None] ^ known].sum(axis=2, dtype=np.int32)
     nearest = np.argsort(bits, axis=1, kind="stable")[:, :kept]
-    return np.take_along_axis(bits, nearest, axis=1), nearest
+    bits = np.take_along_axis(bits, nearest, axis=1)
+    counts = bits < most_bits
+    return np.where(counts, bits, 257).astype(np.int32), np.where(counts, nearest, 0)
 
 
 def fit_pose(

@@ -190,7 +190,9 @@ class OrbLandmarkLocalizer:
         """``T_world_camera`` (4, 4) from descriptors of some landmarks; None where too few agree."""
         if min(len(seen.descriptors), len(possible)) < LEAST_LANDMARKS:
             return None
-        bits, nearest = self._candidates(seen, possible, _CANDIDATES)
+        # One that differs by more bits is not the best match, nor near enough to the best for the ratio test.
+        most_bits = math.ceil(MATCH_BITS / _RATIO)
+        bits, nearest = self._candidates(seen, possible, _CANDIDATES, most_bits)
         # One corner may have several landmarks, one a scale: the ratio test is with the best at another place.
         found = self._landmarks.points[nearest]
         is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
@@ -247,7 +249,7 @@ class OrbLandmarkLocalizer:
             is_possible: whether the camera may be at a pose (4, 4).
         """
         agreeing = seen.select(where)
-        bits, nearest = self._candidates(agreeing, np.arange(len(self._landmarks)), _RIVAL_CANDIDATES)
+        bits, nearest = self._candidates(agreeing, np.arange(len(self._landmarks)), _RIVAL_CANDIDATES, MATCH_BITS)
         points = self._landmarks.points[nearest]
         local = transform(invert(found.pose), points.reshape(-1, 3)).reshape(points.shape)
         off_m = np.linalg.norm(
@@ -290,16 +292,17 @@ class OrbLandmarkLocalizer:
         return rival.pose if len(rival.points) >= _RIVAL_SHARE * len(found.points) else None
 
     def _candidates(
-        self, seen: Keypoints, possible: NDArray[np.int64], count: int
+        self, seen: Keypoints, possible: NDArray[np.int64], count: int, most_bits: int
     ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Of each of N keypoints, the differing bits and the indices of the most similar landmarks, (N, C) each.
 
         Args:
             possible: indices of the landmarks to choose from.
             count: of landmarks a keypoint, at most.
+            most_bits: as :func:`monoloc.landmarks.features.nearest_descriptors`.
         """
         known = self._landmarks.descriptors.take(possible, axis=0)
-        bits, nearest = nearest_descriptors(seen.descriptors, known, min(count, len(known)))
+        bits, nearest = nearest_descriptors(seen.descriptors, known, min(count, len(known)), most_bits)
         return bits, possible[nearest]
 
     def _pose_by_consensus(self, seen: Keypoints, landmarks: NDArray[np.int64], triples: int) -> FloatArray | None:

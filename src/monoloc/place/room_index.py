@@ -66,6 +66,6 @@ class RoomIndex:
         voters = descriptors[evenly_spaced(len(descriptors), _VOTERS)] if len(descriptors) else descriptors
         if not len(voters):
             return np.zeros(len(self._rooms), dtype=np.int64)
-        bits = np.stack([nearest_descriptors(voters, room, 1)[0][:, 0] for room in self._rooms])
+        bits = np.stack([nearest_descriptors(voters, room, 1, MATCH_BITS)[0][:, 0] for room in self._rooms])
         best = bits.min(axis=0)
         return np.asarray(((bits <= best + _AS_GOOD_BITS) & (bits < MATCH_BITS)).sum(axis=1, dtype=np.int64))

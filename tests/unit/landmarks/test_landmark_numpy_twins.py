@@ -31,18 +31,18 @@ def test_matches_equal_twin(seed: int, landmarks: int, keypoints: int, width: in
     np.testing.assert_array_equal(native, twin)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(1, 1300), st.integers(1, 9))
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(1, 1300), st.integers(1, 9), st.integers(-1, 140))
 @settings(max_examples=60, deadline=None)
-def test_nearest_descriptors_equal_twin(seed: int, descriptors: int, known: int, kept: int) -> None:
-    """Also where many are as near, and across the blocks of the native kernel."""
+def test_nearest_descriptors_equal_twin(seed: int, descriptors: int, known: int, kept: int, most_bits: int) -> None:
+    """Also where many are as near or too few are near enough, and across the blocks of the native kernel."""
     rng = np.random.default_rng(seed)
     appearances = rng.integers(0, 256, (3, 32)).astype(np.uint8)
     ours, theirs = (
         appearances[rng.integers(3, size=count)] ^ (rng.uniform(size=(count, 32)) < 0.05).astype(np.uint8)
         for count in (descriptors, known)
     )
-    native = _core.nearest_descriptors(ours, theirs, min(kept, known))
-    twin = landmark_numpy_twins.nearest_descriptors(ours, theirs, min(kept, known))
+    native = _core.nearest_descriptors(ours, theirs, min(kept, known), most_bits)
+    twin = landmark_numpy_twins.nearest_descriptors(ours, theirs, min(kept, known), most_bits)
     for each, expected in zip(native, twin, strict=True):
         np.testing.assert_array_equal(each, expected)
 

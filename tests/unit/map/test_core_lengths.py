@@ -61,7 +61,7 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
             "front and depth",
         ),
         (lambda: core.match_descriptors(PIXELS, DESCRIPTORS[:3], PIXELS, DESCRIPTORS, 9.0, 64), "expected and known"),
-        (lambda: core.nearest_descriptors(DESCRIPTORS, DESCRIPTORS, len(DESCRIPTORS) + 1), "kept must be at most"),
+        (lambda: core.nearest_descriptors(DESCRIPTORS, DESCRIPTORS, len(DESCRIPTORS) + 1, 64), "kept must be at"),
         (lambda: core.match_descriptors(PIXELS, DESCRIPTORS, PIXELS[:3], DESCRIPTORS, 9.0, 64), "pixels and desc"),
         (lambda: core.fit_pose(POINTS, PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(1), 0.1), "points, rays and sd"),
         (
