@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +21,13 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.particle_filter.motion_model import motion_sd
+from monoloc.second_thread import SecondThread
 from monoloc.step_budget import Stage, StepPlan
 
 DepthOfFrame = Callable[[], DepthPrediction | None]
 """The depth of a frame once it is known; None where it is not predicted."""
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class FrontEnd:
     """Depth, odometry, scale and tilt, and scan of every frame; call :meth:`observe` with every frame in order.
 
     Args:
-        components, camera, config, rng: of the localizer.
+        components, camera, config, rng, second_thread: of the localizer.
         stage: times how long depth keeps the frame waiting.
     """
 
@@ -96,13 +95,13 @@ class FrontEnd:
         camera: Camera,
         config: LocalizerConfig,
         rng: np.random.Generator,
+        second_thread: SecondThread,
         stage: Callable[[Stage], AbstractContextManager[None]] = lambda name: nullcontext(),
     ) -> None:
         self._depth, self._odometry, self._landmarks = components.depth, components.odometry, components.landmarks
         self._camera, self._stage = camera, stage
-        self._pool = ThreadPoolExecutor(1, "front end") if config.threads == 2 else None
         self._config, self._has_scans = config, "scan" not in config.without
-        self._rng = rng
+        self._rng, self._second_thread = rng, second_thread
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
         self._repeated_s = self._waited_s = 0.0
@@ -151,7 +150,7 @@ class FrontEnd:
         is_predicted = measured_depth is None and has_depth
         depth_of = self._predicted(color) if is_predicted else lambda: measured_depth if has_depth else None
         has_landmarks = (plan is None or plan.has_landmarks) and not is_empty and not is_repeated
-        landmarks_seen = self._begun(partial(self._landmarks.detect, color), is_needed=has_landmarks)
+        landmarks_seen = self._second_thread.begin(partial(self._landmarks.detect, color), is_needed=has_landmarks)
         self._measured.append(None if self._is_first else measured_motion)
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
@@ -195,13 +194,8 @@ class FrontEnd:
         self._previous = color.copy()
         return is_repeated
 
-    def _begun(self, work: Callable[[], _Result], is_needed: bool = True) -> Callable[[], _Result]:
-        """Begin work in the second thread, if there is one and it is needed; without, it is done when asked for."""
-        future = self._pool.submit(work) if self._pool is not None and is_needed else None
-        return cache(work if future is None else future.result)
-
     def _predicted(self, color: NDArray[np.uint8]) -> DepthOfFrame:
-        depth_of = self._begun(partial(self._depth, color))
+        depth_of = self._second_thread.begin(partial(self._depth, color))
 
         @cache
         def wait() -> DepthPrediction:

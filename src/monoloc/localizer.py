@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from copy import copy
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from monoloc.fusion.gravity import Gravity
 from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks
-from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
+from monoloc.landmarks.pnp import LandmarkLocalizer, LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.localizer_config import LocalizerConfig
@@ -31,6 +32,7 @@ from monoloc.particle_filter.tempering import tempered_update
 from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
+from monoloc.second_thread import SecondThread
 from monoloc.start import Start, checked_start
 from monoloc.step import Step
 from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
@@ -40,6 +42,8 @@ from monoloc.supervision.map_change import MapChangeMonitor
 from monoloc.supervision.state import MOST_REPEATED_S, VOUCHED_FOR, State, Supervision, classify_state
 from monoloc.supervision.turn_check import TurnCheck
 from monoloc.tracker import Tracker
+
+_Seen = TypeVar("_Seen")
 
 
 class Localizer:
@@ -96,7 +100,8 @@ class Localizer:
         # Not a method of this object: a cycle would keep it alive, and a place drops localizers to free memory.
         self._stage = _untimed if self._budget is None else self._budget.stage
         self._begin(checked_start(start))
-        self._front_end = FrontEnd(made, camera, self._config, self._rng, self._stage)
+        self._second_thread = SecondThread(self._config.threads == 2)
+        self._front_end = FrontEnd(made, camera, self._config, self._rng, self._second_thread, self._stage)
 
     def _begin(self, start: Start | None) -> None:
         """Set everything that is believed before the first frame."""
@@ -175,8 +180,10 @@ class Localizer:
         predicted = self._predict(observation)
         prior = self._tracker.fusion.predicted(observation.motion, observation.motion_s)
         relocalization = self._relocalize(observation, predicted, prior)
+        landmarks_of = self._begin_landmarks(observation, prior, relocalization, plan)
         particle_estimate, log_likelihood = self._update_particles(observation, relocalization, plan.particles)
-        landmarks = self._measure_landmarks(observation, prior, relocalization) if plan.has_landmarks else None
+        with self._stage("landmarks"):
+            landmarks = landmarks_of()
         if plan.has_landmarks:
             self._has_landmark_pose = landmarks is not None and landmarks.pose is not None
         contradicted = self._contradicted_by(landmarks, particle_estimate)
@@ -334,15 +341,16 @@ class Localizer:
         landmark_pose = None if landmarks is None else landmarks.pose
         return landmark_pose is not None and self._tracker.fusion.contradicts(particle_estimate, landmark_pose)
 
-    def _measure_landmarks(
-        self, observation: Observation, prior: Estimate, relocalization: Relocalization
-    ) -> LandmarkMeasurement | None:
+    def _begin_landmarks(
+        self, observation: Observation, prior: Estimate, relocalization: Relocalization, plan: StepPlan
+    ) -> Callable[[], LandmarkMeasurement | None]:
         """What the image shows of the landmarks; None where it is no evidence, or the belief restarts."""
         starts_anew = relocalization.confirmed or relocalization.landmark_pose is not None
-        if relocalization.mode is not Mode.TRACKING or starts_anew or not observation.image_is_new:
-            return None
-        with self._stage("landmarks"):
-            return self._landmarks.measure(observation.landmarks_seen(), prior.pose, prior.covariance)
+        is_known = relocalization.mode is Mode.TRACKING and not starts_anew
+        if not (plan.has_landmarks and is_known and observation.image_is_new):
+            return lambda: None
+        measure = partial(_measured, self._landmarks, observation.landmarks_seen, prior)
+        return self._second_thread.begin(measure)
 
     def _supervise(
         self,
@@ -398,6 +406,10 @@ class Localizer:
         if landmarks is None or landmarks.pose is None or views is None:
             return None
         return views.familiar(belief.pose, landmarks.visible, landmarks.is_found, landmarks.is_shown)
+
+
+def _measured(landmarks: LandmarkLocalizer[_Seen], seen: Callable[[], _Seen], prior: Estimate) -> LandmarkMeasurement:
+    return landmarks.measure(seen(), prior.pose, prior.covariance)
 
 
 def _untimed(name: Stage) -> AbstractContextManager[None]:

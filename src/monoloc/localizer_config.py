@@ -38,8 +38,8 @@ class LocalizerConfig(BaseModel):
         particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
         landmark_bias: the same of landmark poses, and their noise.
         without: parts that are left out, see :func:`monoloc.parts.leave_out`.
-        threads: of a step: with two, depth is predicted and keypoints of landmarks are detected while the odometry
-            follows corners and particles are weighed. Results are the same.
+        threads: of a step: with two, depth is predicted and landmarks are measured while the odometry follows corners
+            and particles are weighed. Results are the same.
         budget_ms: that a step may take; the slower the computer, the more is left out, see
             :mod:`monoloc.step_budget`. None leaves nothing out.
     """

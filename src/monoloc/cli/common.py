@@ -53,7 +53,7 @@ FramesOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")]
 ThreadsOption = Annotated[
     int | None,
-    typer.Option("--threads", metavar="1|2", help="With 2, depth and keypoints beside odometry. [the bundle's: 1]"),
+    typer.Option("--threads", metavar="1|2", help="With 2, depth and landmarks beside odometry. [the bundle's: 1]"),
 ]
 BudgetOption = Annotated[
     float | None,

@@ -235,7 +235,7 @@ def _of_timing(summary: FlightSummary, most_age_s: float, firmware: Firmware | N
         level = "good" if rate_hz >= _GOOD_RATE_HZ else level
         is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
         asked = "" if firmware is None else f"; {firmware.title} asks for {firmware.asked_rate}"
-        fix = f"the source gives no more{asked}" if is_slow_camera else "set budget_ms, or threads = 2"
+        fix = f"the source gives no more{asked}" if is_slow_camera else "set threads = 2, then budget_ms"
         remark = "" if level == "good" else fix
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:

@@ -118,13 +118,13 @@ Seen = TypeVar("Seen")
 
 
 class LandmarkLocalizer(Protocol[Seen]):
-    """Measures poses by landmarks; :class:`monoloc.landmarks.orb_localizer.OrbLandmarkLocalizer` is one."""
+    """Measures poses by landmarks; :class:`monoloc.landmarks.orb_localizer.OrbLandmarkLocalizer` is one.
+
+    With ``threads = 2``, :meth:`detect` and :meth:`measure` run in a second thread, beside odometry and particles.
+    """
 
     def detect(self, color: NDArray[np.uint8]) -> Seen:
-        """What an image (H, W, 3) uint8 RGB shows, before anything is known of the pose.
-
-        With ``threads = 2``, it runs in another thread, beside the odometry.
-        """
+        """What an image (H, W, 3) uint8 RGB shows, before anything is known of the pose."""
         ...
 
     def measure(self, seen: Seen, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:

@@ -209,7 +209,7 @@ def test_scale_that_a_sensor_or_a_marker_measured_needs_no_word() -> None:
         (0, None, "the source gives no more"),
         (0, Firmware.PX4, "the source gives no more; PX4 asks for 30"),
         (0, Firmware.ARDUPILOT, "the source gives no more; ArduPilot asks for 4 or more"),
-        (9, None, "set budget_ms, or threads = 2"),
+        (9, None, "set threads = 2, then budget_ms"),
     ],
 )
 def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmware | None, fix: str) -> None:
