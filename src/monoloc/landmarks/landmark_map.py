@@ -118,8 +118,11 @@ class LandmarkViews:
         Of many landmarks, an even selection is looked at.
         """
         step = max(1, len(points) // _RANGED_LANDMARKS)
-        ranges_m = np.linalg.norm(points[::step] - self.poses[:, None, :3, 3], axis=2)
-        return float(ranges_m.max(initial=0.0, where=self.found[:, ::step]))
+        points, farthest_m = points[::step], 0.0
+        for pose, found in zip(self.poses, self.found[:, ::step], strict=True):  # all at once take 10 MB
+            ranges_m = np.linalg.norm(points[found] - pose[:3, 3], axis=1)
+            farthest_m = max(farthest_m, float(ranges_m.max(initial=0.0)))
+        return farthest_m
 
     def without(self, index: int) -> LandmarkViews:
         """All views but one."""
