@@ -212,6 +212,19 @@ def test_every_fault_is_in_a_row() -> None:
 
 # --- All tables ---
 
+
+def check_budget(table: Table) -> None:
+    flights = table_of("budget.csv")
+    assert len(table.rows) == len({(row["built_from"], row["threads"], row["budget_ms"]) for row in flights})
+    for room, threads, budget, *shown in table.rows:
+        flown = [row for row in flights if row["built_from"].startswith(room)]
+        found = chosen(flown, threads=threads, budget_ms=budget.removesuffix(" ms").replace("–", ""))
+        columns = ("rmse_cm", "p95_ms", "p99_ms")
+        rmse, p95, p99 = (over_builds(found, column) for column in columns)
+        in_turn = 100.0 * total(found, "in_turn") / total(found, "frames")
+        agree_all(shown, [middle(found, "median_cm"), rmse, middle(found, "median_ms"), p95, p99, [in_turn]])
+
+
 CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("This version", 0): check_this_version,
     ("Two rendered rooms", 0): check_rendered_rooms,
@@ -221,6 +234,7 @@ CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     (RECOVERY, 0): check_recovery,
     (RECOVERY, 1): check_recovery_of_other_bundles,
     ("What the state says", 0): check_faults,
+    ("Threads and budget", 0): check_budget,
 }
 TABLES = tables_of(PAGE)
 
