@@ -43,6 +43,7 @@ STAGES: list[tuple[str, Any, str]] = [
     ("odometry", VisualOdometry, "step"),
     ("scale and tilt", front_end, "correct_scale_and_tilt"),
     ("scan", front_end, "scan_from_corners"),
+    ("landmarks", OrbLandmarkLocalizer, "detect"),
     ("landmarks", OrbLandmarkLocalizer, "measure"),
     ("predict", particle_filter, "predict"),
     ("likelihood", RayLikelihood, "mean_log_likelihood"),
