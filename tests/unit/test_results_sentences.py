@@ -516,7 +516,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "In rooms 13, 15, 16 and 18, 0.35, 0.95, 0.90 and 0.70 of": "seeds, and shares of the version before",
     "In rooms 14 and 17, about half": "seeds",
     "At the desk, 1 was": "by the rate, which is checked",
-    "it was 91, 89 and 73 %": "of the version before, which is in the history",
+    "it was 91, 84 and 75 %": "of an earlier version, whose runs were not kept",
     "show 20 landmarks": "a definition",
     "with the ones before, it was 8 and 7": "of the version before, which was not kept",
     "111 and 70 were": "of the version before, which was not kept",
