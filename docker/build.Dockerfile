@@ -14,7 +14,7 @@ FROM python:3.12-slim-bookworm
 COPY --from=build /wheels /wheels
 COPY constraints.txt /wheels/
 # PyTorch's own index has wheels without CUDA.
-RUN pip install --no-cache-dir --no-compile --find-links /wheels --constraint /wheels/constraints.txt \
+RUN pip install --no-cache-dir --find-links /wheels --constraint /wheels/constraints.txt \
       --extra-index-url https://download.pytorch.org/whl/cpu \
       "monoloc[build,record3d,ros]" monoloc-lab \
     && rm -r /wheels \

@@ -213,6 +213,32 @@ def test_every_fault_is_in_a_row() -> None:
 # --- All tables ---
 
 
+def check_live_flight(table: Table) -> None:
+    flights = json_of("live-flight.json")
+    assert [flight["threads"] for flight in flights] == [1, 2]
+    for flight in flights:
+        assert flight["resets"] == 0 and all(each["different_frames"] == 0 for each in flight["recordings"])
+    for column, flight in enumerate(flights, start=1):
+        summary, replayed = flight["summary"], [each["frames"] for each in flight["recordings"]]
+        assert summary["dropped"].keys() == {"skipped"}
+        back = [flight[f"{what}_back_s"] for what in ("camera", "link", "process")]
+        expected = [
+            flight["load_average"],
+            [flight["rate_hz"]],
+            [flight["latency_ms_median"], flight["latency_ms_p95"]],
+            [flight["stamp_error_ms_median"], flight["stamp_error_ms_p95"]],
+            [summary["frames"], summary["dropped"]["skipped"]],
+            [summary["states"]["tracking"]],
+            [flight["longest_gap_s"]],
+            [flight["poses"], flight["poses_refused"], flight["poses_by_mavsdk"]],
+            [flight["timesync_answered"], flight["timesync_ms_p95"]],
+            [flight["resident_mb_start"], flight["resident_mb_end"]],
+            back,
+            [frames for frames in replayed for _ in range(2)],
+        ]
+        agree_all([row[column] for row in table.rows], expected)
+
+
 def check_budget(table: Table) -> None:
     flights = table_of("budget.csv")
     assert len(table.rows) == len({(row["built_from"], row["threads"], row["budget_ms"]) for row in flights})
@@ -234,6 +260,7 @@ CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     (RECOVERY, 0): check_recovery,
     (RECOVERY, 1): check_recovery_of_other_bundles,
     ("What the state says", 0): check_faults,
+    ("A live flight", 0): check_live_flight,
     ("Threads and budget", 0): check_budget,
 }
 TABLES = tables_of(PAGE)

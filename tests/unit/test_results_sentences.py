@@ -485,6 +485,10 @@ def test_budgets_are_kept_no_further() -> None:
 
 SENTENCES = (*READING, *THIS_VERSION, *MANY_ROOMS, *OTHER_CAMERAS, *STATE, *BUDGET)
 NOT_OF_THE_DATA: dict[str, str] = {
+    "sends 30 images a second": "of the flight",
+    "After 60 s the camera is killed and comes back after 5 s": "of the flight",
+    "In the 60 s ": "of the flight",
+    "takes about 50 MB more": "of a run that was not kept",
     "one start 10 cm and 3° off": "the starts of the flights",
     "two cores of an AMD EPYC with AVX-512": "a name",
     "**A budget of 10 ms": "a name",
@@ -570,7 +574,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "[may be 10 % wrong": "a definition",
 }
 OF_CLAIMS = ("Failed", "Undecided")
-WITHOUT_KEPT_RUNS = ("Places that look alike", "A changed room", "A live flight", "Time and memory")
+WITHOUT_KEPT_RUNS = ("Places that look alike", "A changed room", "Time and memory")
 
 
 @pytest.mark.parametrize(("sentence", "expected"), SENTENCES)
@@ -580,7 +584,7 @@ def test_sentence(sentence: str, expected: list[float]) -> None:
 
 def test_every_other_number_is_none_of_kept_runs() -> None:
     sections = [each for each in sections_of(PAGE) if each[0] not in (*OF_CLAIMS, *WITHOUT_KEPT_RUNS)]
-    assert len(sections) == 10
+    assert len(sections) == 11
     assert other_numbers("".join(text for _, text in sections), SENTENCES, NOT_OF_THE_DATA) == []
 
 
