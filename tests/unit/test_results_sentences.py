@@ -486,6 +486,7 @@ def test_budgets_are_kept_no_further() -> None:
 SENTENCES = (*READING, *THIS_VERSION, *MANY_ROOMS, *OTHER_CAMERAS, *STATE, *BUDGET)
 NOT_OF_THE_DATA: dict[str, str] = {
     "sends 30 images a second": "of the flight",
+    "with AVX-512), which camera and peer": "a name",
     "After 60 s the camera is killed and comes back after 5 s": "of the flight",
     "In the 60 s ": "of the flight",
     "takes about 50 MB more": "of a run that was not kept",
