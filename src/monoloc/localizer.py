@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager, nullcontext
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from monoloc.fusion.gravity import Gravity
 from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks
-from monoloc.landmarks.pnp import LandmarkLocalizer, LandmarkMeasurement, LandmarkPose
+from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.localizer_config import LocalizerConfig
@@ -42,8 +41,6 @@ from monoloc.supervision.map_change import MapChangeMonitor
 from monoloc.supervision.state import MOST_REPEATED_S, VOUCHED_FOR, State, Supervision, classify_state
 from monoloc.supervision.turn_check import TurnCheck
 from monoloc.tracker import Tracker
-
-_Seen = TypeVar("_Seen")
 
 
 class Localizer:
@@ -268,6 +265,9 @@ class Localizer:
     def _search_by_landmarks(self, observation: Observation) -> LandmarkPose | None:
         return self._landmarks.relocalize(observation.landmarks_seen())
 
+    def _measure_landmarks(self, observation: Observation, prior: Estimate) -> LandmarkMeasurement:
+        return self._landmarks.measure(observation.landmarks_seen(), prior.pose, prior.covariance)
+
     def _update_particles(
         self, observation: Observation, relocalization: Relocalization, count: int
     ) -> tuple[Estimate, float]:
@@ -349,8 +349,7 @@ class Localizer:
         is_known = relocalization.mode is Mode.TRACKING and not starts_anew
         if not (plan.has_landmarks and is_known and observation.image_is_new):
             return lambda: None
-        measure = partial(_measured, self._landmarks, observation.landmarks_seen, prior)
-        return self._second_thread.begin(measure)
+        return self._second_thread.begin(partial(self._measure_landmarks, observation, prior))
 
     def _supervise(
         self,
@@ -406,10 +405,6 @@ class Localizer:
         if landmarks is None or landmarks.pose is None or views is None:
             return None
         return views.familiar(belief.pose, landmarks.visible, landmarks.is_found, landmarks.is_shown)
-
-
-def _measured(landmarks: LandmarkLocalizer[_Seen], seen: Callable[[], _Seen], prior: Estimate) -> LandmarkMeasurement:
-    return landmarks.measure(seen(), prior.pose, prior.covariance)
 
 
 def _untimed(name: Stage) -> AbstractContextManager[None]:

@@ -33,7 +33,7 @@ struct Descriptors {
 };
 
 // Of each of N descriptors the `kept` nearest known ones that differ by fewer than `most_bits`, nearest first,
-// (N, kept); of those as near, the first. Where there are fewer, the rest has one bit more than there are, and known 0.
+// (N, kept); of those as near, the first. Where there are fewer, the rest of a row has 257 bits and known 0.
 struct Nearest {
   std::vector<std::int32_t> bits;  // by which they differ
   std::vector<std::int64_t> known;
