@@ -492,7 +492,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "takes about 50 MB more": "of a run that was not kept",
     "one start 10 cm and 3° off": "the starts of the flights",
     "two cores of an AMD EPYC with AVX-512": "a name",
-    "**A budget of 10 ms": "a name",
+    "**A budget of 10 ms is not kept in 99 % of": "a name",
     "of 15 ms in 99 % of their steps": "checked without a number",
     "a budget of 10 or 15 ms in 95 %": "checked without a number",
     "7-Scenes": "a name",
