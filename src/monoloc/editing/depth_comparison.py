@@ -18,7 +18,6 @@ from monoloc.editing.alignment import PosedFrames
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
-from monoloc.landmarks.features import KeypointDetector
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
@@ -60,13 +59,14 @@ def check_depth_scale(landmarks: Landmarks, recording: Recording, posed: PosedFr
     Raises:
         DataError: it is.
     """
-    localizer, detect = OrbLandmarkLocalizer(landmarks, recording.camera), KeypointDetector(recording.camera)
+    localizer = OrbLandmarkLocalizer(landmarks, recording.camera)
     ratios = []
     for index, pose in zip(posed[0].tolist(), posed[1], strict=True):
-        keypoints = detect(recording.color(index))
+        keypoints = localizer.detect(recording.color(index))
         _, which, where = localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
         depth = sparse_depth(recording.depth(index), recording.camera)
-        ratios.append(depth_ratios(depth, detect.camera, keypoints.pixels[where], pose, landmarks.points[which]))
+        camera, pixels = localizer.detector.camera, keypoints.pixels[where]
+        ratios.append(depth_ratios(depth, camera, pixels, pose, landmarks.points[which]))
     if (found := scale_problem(given, ratios)) is not None:
         raise DataError(recording.name, *found)
 

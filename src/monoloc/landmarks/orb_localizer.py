@@ -87,16 +87,19 @@ class OrbLandmarkLocalizer:
 
     With a prior, each landmark is matched near its expected pixel. Without one, descriptors are matched over the
     whole image, and the pose is one that most matches agree with (RANSAC).
+
+    Attributes:
+        detector: of the keypoints in the camera's images.
     """
 
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
-        self._detector = KeypointDetector(camera)
+        self.detector = KeypointDetector(camera)
         self._cells = LandmarkCells(landmarks)
 
     def detect(self, color: NDArray[np.uint8]) -> Keypoints:
         """As :meth:`LandmarkLocalizer.detect`."""
-        return self._detector(color)
+        return self.detector(color)
 
     def measure(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
@@ -113,7 +116,7 @@ class OrbLandmarkLocalizer:
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         found = self._confirmed(seen, possible)
         if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
-            return LandmarkMeasurement(len(self._detector.camera.in_view(local)[0]))
+            return LandmarkMeasurement(len(self.detector.camera.in_view(local)[0]))
         measured = found.measurement()
         is_expected = partial(is_within_prior, prior=prior, covariance=stated)
         if measured.pose is not None and self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
@@ -157,7 +160,7 @@ class OrbLandmarkLocalizer:
             sought: of :meth:`_possible` at the prior.
         """
         possible, local = sought
-        camera, room = self._detector.camera, self._landmarks
+        camera, room = self.detector.camera, self._landmarks
         expected = camera.project(local)
         which, where = match_descriptors(
             expected,
@@ -168,7 +171,7 @@ class OrbLandmarkLocalizer:
         )
         points = room.points[possible[which]].astype(np.float64)
         agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
-        is_shown = self._detector.reaches(expected) & _is_shown(expected, seen.pixels, camera)
+        is_shown = self.detector.reaches(expected) & _is_shown(expected, seen.pixels, camera)
         return _Agreement(possible, camera.contains(expected), is_shown, which[agree], where[agree], fit)
 
     def _possible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
@@ -176,15 +179,15 @@ class OrbLandmarkLocalizer:
 
         Also those a little beyond the border of the image, since the prior may be wrong by so much.
         """
-        nearby, points = self._cells.nearby(prior, self._detector.camera)
+        nearby, points = self._cells.nearby(prior, self.detector.camera)
         local = transform(invert(prior), points)
-        possible = np.flatnonzero(self._detector.camera.in_sight(local))
+        possible = np.flatnonzero(self.detector.camera.in_sight(local))
         return nearby.take(possible), local.take(possible, axis=0)
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
         depth_m = float(np.median(local[:, 2])) if len(local) else 1.0
-        return max(_LEAST_RADIUS_PX, 3.0 * self._detector.camera.focal_px * _direction_sd(covariance, depth_m))
+        return max(_LEAST_RADIUS_PX, 3.0 * self.detector.camera.focal_px * _direction_sd(covariance, depth_m))
 
     def _pose_without_prior(self, seen: Keypoints, possible: NDArray[np.int64]) -> FloatArray | None:
         """``T_world_camera`` (4, 4) from descriptors of some landmarks; None where too few agree."""
@@ -232,7 +235,7 @@ class OrbLandmarkLocalizer:
     def _spread(self, pixels: FloatArray) -> float:
         """Standard deviation of pixels (A, 2) along the direction in which it is least, in image heights."""
         variance = float(np.linalg.eigvalsh(np.cov(pixels.T))[0])
-        camera = self._detector.camera
+        camera = self.detector.camera
         return math.sqrt(max(variance, 0.0)) / min(camera.height, _TALLEST * camera.focal_px)
 
     def _fits_elsewhere(
@@ -253,7 +256,7 @@ class OrbLandmarkLocalizer:
         points = self._landmarks.points[nearest]
         local = transform(invert(found.pose), points.reshape(-1, 3)).reshape(points.shape)
         off_m = np.linalg.norm(
-            local[..., :2] - local[..., 2:] * agreeing.rays(self._detector.camera)[0][:, None], axis=2
+            local[..., :2] - local[..., 2:] * agreeing.rays(self.detector.camera)[0][:, None], axis=2
         )
         is_rival = (off_m > _OTHER_PLACE_M) & (bits < MATCH_BITS)
         # Several places may look alike; each is as wide as what agrees.
@@ -313,7 +316,7 @@ class OrbLandmarkLocalizer:
             triples: of RANSAC, at most.
         """
         points = self._landmarks.points[landmarks].astype(np.float64)
-        return pose_by_consensus(points, seen, self._detector.camera, triples)
+        return pose_by_consensus(points, seen, self.detector.camera, triples)
 
 
 def _is_shown(pixels: FloatArray, keypoints: FloatArray, camera: Camera) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from monoloc.editing.depth_comparison import depth_ratios, scale_problem
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.recording import Recording
-from monoloc.landmarks.features import KeypointDetector, Keypoints
+from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
@@ -113,7 +113,7 @@ def observe(
     depth_error = DepthError(_SENSOR_SD, 0.0, True) if is_sensor_depth else DepthError.of(bundle)
     states: dict[State, int] = dict(watcher.states)
     return ObservedFlight(
-        recording.name, watcher.frames, watcher.detect.camera, states, depth_error, _refusal(watcher, rules)
+        recording.name, watcher.frames, watcher.detected, states, depth_error, _refusal(watcher, rules)
     )
 
 
@@ -157,7 +157,7 @@ class _Watcher:
         self._known = known | set(bundle.provenance.frames.values())
         self._landmarks, self._familiar_found = bundle.landmarks, bundle.integrity.familiar_found
         self._localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
-        self.detect = KeypointDetector(recording.camera)
+        self.detected = self._localizer.detector.camera
         self.frames: list[UsableFrame] = []
         self.depth_ratios: list[FloatArray] = []  # of the sensor's depth to that of landmarks
         self.states: Counter[State] = Counter()
@@ -194,7 +194,7 @@ class _Watcher:
         if not self._is_apart(pose):
             self.left_out["as the view before"] += 1
             return
-        keypoints = self.detect(color)
+        keypoints = self._localizer.detect(color)
         measured, which, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
         familiar = times >= FAMILIAR_TIMES
         if not self._is_witnessed(step.changed_region, familiar, measured.visible, measured.is_found):
@@ -205,7 +205,7 @@ class _Watcher:
         depth = self._depth(index, step)
         if self._is_sensor_depth and depth is not None:
             pixels, points = keypoints.pixels[where], self._landmarks.points[which]
-            self.depth_ratios.append(depth_ratios(depth, self.detect.camera, pixels, pose, points))
+            self.depth_ratios.append(depth_ratios(depth, self.detected, pixels, pose, points))
         sds = np.sqrt(np.diag(step.estimate.covariance))
         self.frames.append(
             UsableFrame(

@@ -89,7 +89,7 @@ def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLoca
     """The same number of landmarks all over the image does."""
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
-    room, camera = localizer._landmarks, localizer._detector.camera
+    room, camera = localizer._landmarks, localizer.detector.camera
     local = transform(invert(pose), room.points)
     seen = np.flatnonzero(camera.in_sight(local))
     height = camera.project(local[seen])[:, 1]
@@ -172,7 +172,7 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
     right = measure(localizer, color, pose, PRIOR)
-    detected = localizer._detector.camera
+    detected = localizer.detector.camera
     in_view = detected.in_sight(transform(invert(pose), localizer._landmarks.points))
     assert right.pose is not None and right.found == len(right.pose.points) > 60
     assert right.expected == np.count_nonzero(in_view) > right.found
@@ -193,7 +193,7 @@ def test_landmarks_beyond_the_border_of_a_cropped_image_are_not_expected(
     pose = FLIGHT_POSES[30]
     color = np.ascontiguousarray(Room().view(pose)[0][top : top + height, left : left + width])
     cropped = OrbLandmarkLocalizer(localizer._landmarks, CAMERA.cropped(left, top, width, height))
-    detected = cropped._detector.camera
+    detected = cropped.detector.camera
     measured = cropped.measure_near(cropped.detect(color), pose, PRIOR)
     pixels = detected.project(transform(invert(pose), localizer._landmarks.points[measured.visible]))
     assert measured.expected == len(pixels) > 60
@@ -210,9 +210,9 @@ def test_landmarks_a_little_beyond_the_border_are_found_where_the_prior_is_wrong
     prior = pose @ se3_exp([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])  # looks up
     measured = measure(cropped, color, prior, PRIOR)
     found = measured.visible[measured.is_found]
-    pixels = cropped._detector.camera.project(transform(invert(prior), localizer._landmarks.points[found]))
+    pixels = cropped.detector.camera.project(transform(invert(prior), localizer._landmarks.points[found]))
     assert measured.pose is not None and measured.expected > measured.found
-    assert not cropped._detector.camera.contains(pixels).all()
+    assert not cropped.detector.camera.contains(pixels).all()
 
 
 @pytest.mark.parametrize("level", [30, 255])
@@ -223,12 +223,12 @@ def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
     color = Room().view(pose)[0].copy()
     whole = measure(localizer, color, pose, PRIOR)
     local = transform(invert(pose), localizer._landmarks.points[whole.visible])
-    pixels = localizer._detector.camera.project(local)
-    is_inside = localizer._detector.reaches(pixels)
+    pixels = localizer.detector.camera.project(local)
+    is_inside = localizer.detector.reaches(pixels)
     np.testing.assert_array_equal(whole.is_shown, is_inside)  # the border shows no keypoint
     color[:, : color.shape[1] // 2] = level
     covered = measure(localizer, color, pose, PRIOR)
-    columns = pixels[:, 0] / localizer._detector.camera.width
+    columns = pixels[:, 0] / localizer.detector.camera.width
     assert not covered.is_shown[columns < 0.4].any() and covered.is_shown[is_inside & (columns > 0.5)].all()
     assert covered.expected == whole.expected and covered.pose is not None
     given = LandmarkMeasurement(2, 1, None, np.array([3, 5]), np.array([True, False]))
@@ -249,13 +249,13 @@ def test_landmarks_are_expected_from_three_times_as_far_as_the_build_found_them_
         pose = FLIGHT_POSES[30].copy()
         pose[2, 3] += offset_m
         local = transform(invert(pose), points.astype(np.float64))
-        seen = floor._detector.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < sight_m)
+        seen = floor.detector.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < sight_m)
         measured = floor.measure_near(nothing, pose, PRIOR)
         assert measured.expected == np.count_nonzero(seen) and measured.found == 0
     everywhere = OrbLandmarkLocalizer(Landmarks(points, np.tile(room.descriptors, (2, 1))), CAMERA)
     measured = everywhere.measure_near(nothing, FLIGHT_POSES[30], PRIOR)
     local = transform(invert(FLIGHT_POSES[30]), points.astype(np.float64))
-    assert measured.expected == np.count_nonzero(everywhere._detector.camera.in_sight(local))
+    assert measured.expected == np.count_nonzero(everywhere.detector.camera.in_sight(local))
 
 
 def test_room_without_landmarks_expects_none() -> None:
