@@ -27,6 +27,7 @@ from monoloc.landmarks.pnp import (
     flat_view_starts,
     is_within_prior,
     pose_by_consensus,
+    prior_radius_m,
 )
 
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark's expected pixel
@@ -118,8 +119,11 @@ class OrbLandmarkLocalizer:
         if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
             return LandmarkMeasurement(len(self.detector.camera.in_view(local)[0]))
         measured = found.measurement()
+        off_m = float(pose_distance_m(prior, found.fit.pose[None])[0])
+        if measured.pose is None or off_m + prior_radius_m(stated) < _APART_M:  # no other place is within the prior
+            return measured
         is_expected = partial(is_within_prior, prior=prior, covariance=stated)
-        if measured.pose is not None and self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
+        if self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
             return LandmarkMeasurement()  # they do not tell which of the places it is
         return measured
 

@@ -113,6 +113,20 @@ def is_within_prior(pose: FloatArray, prior: FloatArray, covariance: FloatArray)
     return float(offset @ np.linalg.solve(covariance + PRIOR_COVARIANCE, offset)) < CHI2_6_QUANTILE_99
 
 
+def prior_radius_m(covariance: FloatArray) -> float:
+    """A pose distance that no pose within the bound of :func:`is_within_prior` exceeds.
+
+    The distance is at most ``|rho| + |phi|`` of the twist. Its square, over the ellipsoid ``x^T C^-1 x < q``, is at
+    most ``q (largest variance of rho + of phi + 2 largest covariance of both)``.
+
+    Args:
+        covariance: of the prior, as for :func:`is_within_prior`.
+    """
+    wide = covariance + PRIOR_COVARIANCE
+    shift, turn, both = (np.linalg.norm(part, 2) for part in (wide[:3, :3], wide[3:, 3:], wide[:3, 3:]))
+    return float(np.sqrt(CHI2_6_QUANTILE_99 * (shift + turn + 2.0 * both)))
+
+
 Seen = TypeVar("Seen")
 """What a :class:`LandmarkLocalizer` detects in an image, such as keypoints."""
 

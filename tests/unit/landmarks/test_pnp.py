@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.evaluation.consistency import CHI2_6_QUANTILE_95
+from monoloc.evaluation.consistency import CHI2_6_QUANTILE_95, CHI2_6_QUANTILE_99
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.fusion.bias_model import LandmarkBiasModel
-from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_exp, se3_log, so3_exp, transform
 from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import LandmarkPose, fit_matches
+from monoloc.landmarks.pnp import LandmarkPose, fit_matches, is_within_prior, prior_radius_m
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from synthetic_room import CAMERA
 
@@ -216,6 +216,22 @@ def test_focal_length_is_undetermined_where_all_points_are_at_one_depth_and_near
     seen = keypoints_at(pixels + rng.normal(size=pixels.shape), 1.0)
     _, found = pose_from_matches(points, seen, CAMERA, np.eye(4), PRIOR)
     assert found is not None and found.log_focal_sd > WELL_OBSERVED_SD
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_prior_radius_bounds_the_poses_within_the_prior(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(0.0, 0.05, (6, 6))
+    prior, covariance = se3_exp(rng.normal(size=6)), root @ root.T
+    directions = rng.normal(size=(20_000, 6))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    on_bound = np.sqrt(CHI2_6_QUANTILE_99) * directions @ np.linalg.cholesky(covariance + PRIOR).T
+    poses = prior @ se3_exp(0.999 * on_bound)
+    assert all(is_within_prior(pose, prior, covariance) for pose in poses[:50])
+    assert not any(is_within_prior(pose, prior, covariance) for pose in prior @ se3_exp(1.001 * on_bound[:50]))
+    farthest_m = pose_distance_m(prior, poses).max()
+    radius_m = prior_radius_m(covariance)
+    assert 0.8 * radius_m < farthest_m < radius_m
 
 
 @pytest.mark.parametrize(
