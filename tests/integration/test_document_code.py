@@ -10,11 +10,22 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from monoloc.bundle import write_bundle
 from monoloc.geometry import invert, se3_log
 from repository import REPOSITORY
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import (
+    BLUE_SPAN,
+    NEAREST_M,
+    SMALL_CAMERA,
+    FloatArray,
+    Room,
+    RoomRecording,
+    make_bundle,
+    make_path,
+    room_mixture,
+)
 
 FRAMES = 12
 
@@ -86,6 +97,23 @@ def test_rendered_room_is_edited() -> None:
     assert names["moved"] != names["room"] and set(names["room"].names) - set(names["emptier"].names) == {"plant"}
 
 
+def test_camera_is_followed_by_a_depth_network_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    document = "docs/how-to/change-a-part.md"
+    second = RoomRecording(Room(), make_path(FRAMES, rate_hz=5.0), SMALL_CAMERA)
+    monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-recording": second}.__getitem__)
+    images = []
+
+    def my_network(small: NDArray[np.uint8]) -> FloatArray:
+        images.append(small)
+        return np.asarray(NEAREST_M * np.exp(BLUE_SPAN * small[..., 2] / 255.0))
+
+    names = execute(document, code_blocks(document)[0], {"my_network": my_network})
+    assert images and {image.shape for image in images} == {(32, 40, 3)}
+    step = names["step"]
+    assert step.state in ("tracking", "uncertain")
+    assert np.linalg.norm(step.estimate.pose[:3, 3] - second.poses[-1][:3, 3]) < 0.1
+
+
 @pytest.mark.slow  # two calibrations; tests/unit/builder/test_calibrate.py has one
 def test_likelihood_of_ones_own_tracks_far_better_than_odometry(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -94,8 +122,7 @@ def test_likelihood_of_ones_own_tracks_far_better_than_odometry(
     document = "docs/how-to/change-a-part.md"
     second = RoomRecording(Room(), make_path(FRAMES, rate_hz=5.0), SMALL_CAMERA)
     monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-recording": second}.__getitem__)
-    (code,) = code_blocks(document)
-    execute(document, code, {})
+    execute(document, code_blocks(document)[1], {})
     lines = re.findall(r"(.*): (.*) cm, odometry (.*) cm, (.*)% tracking\n", capsys.readouterr().out)
     assert [name for name, *_ in lines] == ["ray", "likelihood field"]
     for _, error_cm, odometry_cm, tracking_percent in lines:

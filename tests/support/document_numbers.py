@@ -60,6 +60,10 @@ def values(rows: Rows, column: str) -> list[float]:
     return [float(row[column]) for row in rows]
 
 
+def extremes(rows: Rows, column: str) -> list[float]:
+    return [min(values(rows, column)), max(values(rows, column))]
+
+
 def median_of(rows: Rows, column: str) -> float:
     return float(np.median(values(rows, column)))
 

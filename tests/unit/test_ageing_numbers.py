@@ -87,10 +87,12 @@ def test_sentence_of_whom_it_is_not_for() -> None:
     days = [day["never_updated"] for day in AGAIN["days"]]
     silent, vouched_for = max((day["silent"], day["vouched_for"]) for day in days)
     last = AGAIN["never_updated"]
-    expected = [100.0 * last["median_m"], last["silent"], last["vouched_for"], silent, vouched_for]
+    medians_cm = [100.0 * AGAIN[name]["median_m"] for name in ("never_updated", "updated", "fresh")]
+    expected = [*medians_cm, last["silent"], last["vouched_for"], silent, vouched_for]
     sentence = (
-        "had a median error of {} cm, and {} of the {} frames that were *tracking* or *map-changed* were more than "
-        "30 cm off. On the worst day, {} of {} were (1 build)."
+        "had a median error of {} cm, the updated one {} cm, and a fresh build {} cm. With the one that was never "
+        "updated, {} of the {} frames that were *tracking* or *map-changed* were more than 30 cm off; on the worst "
+        "day, {} of {} were (1 build)."
     )
     agree_sentence("docs/is-it-for-me.md", sentence, expected)
 
