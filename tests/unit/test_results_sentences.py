@@ -542,7 +542,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "The build of this table had 48": "of the version before, which was not kept",
     "all of room 18": "a seed",
     "more than 0.6 % of the *tracking* frames more than 30 cm off": "in the table",
-    "flies all 156": "as many flights as the table has, which were not kept",
+    "flies the 156": "as many flights as the table has, which were not kept",
     "In room 17, where few": "a seed",
     "it was 29 % until": "of the version before, which was not kept",
     "In rooms 13, 15, 16 and 18, 0.35, 0.95, 0.90 and 0.70 of": "seeds, and shares of the version before",
