@@ -28,6 +28,12 @@ def over_builds_of(column: str, stretch: int, *methods: str) -> list[float]:
     return [middle(flown(method, stretch), column)[0] for method in methods]
 
 
+def largest_over_smallest() -> float:
+    """RMSE of the default at the desk, extrapolation, over builds."""
+    builds = by_build(flown("default", DESK_BEYOND), "rmse_cm").values()
+    return max(builds) / min(builds)
+
+
 def over(other: str, stretch: int) -> Interval:
     """RMSE of the default over that of another method, build by build."""
     default, others = (by_build(flown(method, stretch), "rmse_cm") for method in ("default", other))

@@ -12,7 +12,6 @@ from document_numbers import (
     Sentence,
     agree,
     agree_sentence,
-    by_build,
     chosen,
     extremes,
     json_of,
@@ -32,6 +31,7 @@ from kept_flights import (
     KITCHEN_BETWEEN,
     KITCHEN_BEYOND,
     flown,
+    largest_over_smallest,
     over,
     over_builds_of,
     over_untuned,
@@ -96,11 +96,6 @@ def test_table_of_readme() -> None:
 
 
 # --- Sentences ---
-
-
-def largest_over_smallest() -> float:
-    builds = by_build(flown("default", DESK_BEYOND), "rmse_cm").values()
-    return max(builds) / min(builds)
 
 
 TUNED = chosen(table_of("many-rooms.csv"), bundle="tuned", without="")
