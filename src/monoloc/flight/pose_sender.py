@@ -15,6 +15,7 @@ from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
 from monoloc.mavlink.obstacle_sectors import sector_distances_cm
 from monoloc.obstacles import LEAST_M, MOST_M, ObstacleWatch
+from monoloc.rate_limiter import RateLimiter
 from monoloc.supervision.state import BLIND, VOUCHED_FOR, in_words
 
 _OBSTACLES_HZ = 10.0
@@ -65,7 +66,7 @@ class PoseSender:
         self._jumped = self._is_confirmed = False
         self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
         self._watch = watch
-        self._obstacles_s = float("-inf")
+        self._pose_rate, self._obstacle_rate = RateLimiter(settings.rate_hz), RateLimiter(_OBSTACLES_HZ)
         self._said: tuple[str, float] = ("", float("-inf"))
         self._began_s: float | None = None  # to wait for a first frame
         self._frame_s: float | None = None
@@ -88,7 +89,8 @@ class PoseSender:
         pose = self._frames.body_pose(result.estimate)
         if not self._is_usable(result, pose):
             return
-        if self._sent is None or result.frame.captured_s - self._sent[0] >= 0.99 / self._settings.rate_hz:
+        if self._pose_rate.is_due(result.frame.captured_s):
+            self._pose_rate.use(result.frame.captured_s)
             self._send_pose(result, pose)
         self._send_obstacles(result)
 
@@ -153,13 +155,12 @@ class PoseSender:
 
     def _send_obstacles(self, result: FlightStep) -> None:
         captured_s = result.frame.captured_s
-        is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
-        if self._watch is None or not is_due:
+        if self._watch is None or not self._obstacle_rate.is_due(captured_s):
             return
         around = self._watch.update(captured_s, result.step, self._frames.T_level_camera(result.estimate))
         if around is None:
             return
-        self._obstacles_s = captured_s
+        self._obstacle_rate.use(captured_s)
         distances_cm = sector_distances_cm(around.distances_m)
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))
 

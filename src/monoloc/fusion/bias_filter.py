@@ -216,6 +216,8 @@ class BiasAugmentedFilter:
         self._state = BiasAugmentedState.from_measurement(PARTICLES, measured.pose, noise, prior_sds)
         self._moved_m = math.inf
         self.restarted = True
+        # Without odometry, the belief follows the particles from here on, and need not start anew there again.
+        self._follows_particles = self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S
         self.time_since_update_s = 0.0
         return self.belief
 
@@ -247,10 +249,7 @@ class BiasAugmentedFilter:
 
     def _scaled(self, motion: Motion | None) -> FloatArray:
         """A motion, (4, 4), with its translation in metres, also if it was measured in predicted depth."""
-        delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
-        if motion is not None and motion.translation == "scaled":
-            delta[:3, 3] *= np.exp(self._measured.log_scale + self._state.log_scale)
-        return delta
+        return np.eye(4) if motion is None else motion.in_metres(self._measured.log_scale + self._state.log_scale)
 
     def _predicted(
         self, delta: FloatArray, motion: Motion | None, elapsed_s: float, step_m: float

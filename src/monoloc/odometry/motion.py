@@ -76,6 +76,17 @@ class Motion:
             raise ValueError(f"rotation_sd_rad must be positive and finite, got {rotation_sd_rad}")
         return cls(made_rigid(T), translation="unknown", rotation_sd_rad=rotation_sd_rad)
 
+    def in_metres(self, log_scale: float) -> FloatArray:
+        """``T_previous_current`` (4, 4) in metres; of a motion whose translation is unknown, the rotation alone.
+
+        Args:
+            log_scale: logarithm of the true over the predicted depth, for a translation in the unit of the latter.
+        """
+        T = self.T_previous_current.copy()
+        if self.translation == "scaled":
+            T[:3, 3] *= np.exp(log_scale)
+        return T
+
 
 def tracks_translation(motion: Motion | None) -> bool:
     """Whether there is a motion, and its translation is known."""

@@ -15,7 +15,7 @@ from monoloc.landmarks.features import KeypointDetector
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.localizer import Localizer
-from monoloc.odometry.motion import Motion, tracks_translation
+from monoloc.odometry.motion import tracks_translation
 from monoloc.particle_filter.motion_model import motion_sd
 from monoloc.progress import Progress
 from monoloc.start import Start
@@ -94,23 +94,15 @@ def _motions(
     sds = np.zeros((len(found), 2))
     elapsed_s = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
     localizer: Localizer | None = None
-    scale = 1.0
+    log_scale = 0.0
     for index, pose in enumerate(found):
         if localizer is None and pose is not None:
             localizer = Localizer(room, recording.camera, Start(pose.pose))
         if localizer is not None:
             step = localizer.step(recording.color(index), float(elapsed_s[index]))
-            scale = scale if pose is None else math.exp(step.estimate.log_scale)
-            motions[index] = _in_metres(step.motion, scale)
+            log_scale = log_scale if pose is None else step.estimate.log_scale
             if step.motion is not None:
+                motions[index] = step.motion.in_metres(log_scale) if tracks_translation(step.motion) else None
                 sds[index] = motion_sd(step.motion, float(elapsed_s[index]), 0.0, room.settings.motion_noise)[[0, 3]]
         show(index + 1)
     return motions, sds
-
-
-def _in_metres(motion: Motion | None, scale: float) -> FloatArray | None:
-    if motion is None or not tracks_translation(motion):
-        return None
-    T_previous_current = motion.T_previous_current.copy()
-    T_previous_current[:3, 3] *= scale if motion.translation == "scaled" else 1.0
-    return T_previous_current

@@ -9,7 +9,7 @@ from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert
 from monoloc.obstacles.sectors import MOST_M, depth_points
-from monoloc.odometry.motion import tracks_translation
+from monoloc.rate_limiter import RateLimiter
 from monoloc.ros.message_contents import (
     TopicMessage,
     camera_info,
@@ -28,19 +28,6 @@ IMAGE, INFO = "/camera/image/compressed", "/camera/camera_info"
 OBSTACLES_HZ, IMAGE_HZ = 10.0, 5.0
 
 
-class _Rate:
-    """Says which messages are due at a rate."""
-
-    def __init__(self, most_hz: float) -> None:
-        self._least_ns = 0.99e9 / most_hz
-        self._last_ns: int | None = None
-
-    def is_due(self, stamp_ns: int) -> bool:
-        due = self._last_ns is None or abs(stamp_ns - self._last_ns) >= self._least_ns  # a clock may be set back
-        self._last_ns = stamp_ns if due else self._last_ns
-        return due
-
-
 class StepMessages:
     """Makes the messages of a localizer's results, in order of time.
 
@@ -57,7 +44,7 @@ class StepMessages:
     def __init__(self, frames: RosFrames, with_obstacles: bool, with_mount: bool = True) -> None:
         self._frames, self._with_obstacles, self._with_mount = frames, with_obstacles, with_mount
         self._T_odom_base: FloatArray = np.eye(4)
-        self._obstacles = _Rate(OBSTACLES_HZ)
+        self._obstacles = RateLimiter(OBSTACLES_HZ)
 
     def of(
         self, stamp_ns: int, step: Step, T_odom_base: FloatArray | None = None, room: str | None = None
@@ -90,16 +77,18 @@ class StepMessages:
         if is_usable:
             content = pose_with_covariance(stamp_ns, names.map, T_map_base, covariance)
             messages.append(TopicMessage(POSE, "geometry_msgs/PoseWithCovarianceStamped", stamp_ns, content))
-        if is_usable and self._with_obstacles and step.depth is not None and self._obstacles.is_due(stamp_ns):
+        time_s = 1e-9 * stamp_ns
+        if is_usable and self._with_obstacles and step.depth is not None and self._obstacles.is_due(time_s):
+            self._obstacles.use(time_s)
             content = point_cloud(stamp_ns, names.camera, obstacle_points(step.depth, step.estimate.log_scale))
             messages.append(TopicMessage(OBSTACLES, "sensor_msgs/PointCloud2", stamp_ns, content))
         return messages
 
     def _predict(self, step: Step) -> None:
-        """Move ``odom -> base_link`` on by the odometry of the frame; where there is none it stays."""
-        if step.motion is not None and tracks_translation(step.motion):
+        """Move ``odom -> base_link`` on by the frame's motion, in metres; where there is none, it stays."""
+        if step.motion is not None:
             T_base_camera = self._frames.T_base_camera
-            motion = T_base_camera @ step.motion.T_previous_current @ invert(T_base_camera)
+            motion = T_base_camera @ step.motion.in_metres(step.estimate.log_scale) @ invert(T_base_camera)
             self._T_odom_base = self._T_odom_base @ motion
 
 
@@ -128,12 +117,13 @@ class ImageMessages:
 
     def __init__(self, camera: Camera, frame: str) -> None:
         self._camera, self._frame = camera, frame
-        self._images = _Rate(IMAGE_HZ)
+        self._images = RateLimiter(IMAGE_HZ)
 
     def of(self, stamp_ns: int, color: NDArray[np.uint8]) -> list[TopicMessage]:
         """The messages of an image (H, W, 3) uint8 RGB, none where it is not its turn."""
-        if not self._images.is_due(stamp_ns):
+        if not self._images.is_due(1e-9 * stamp_ns):
             return []
+        self._images.use(1e-9 * stamp_ns)
         image = compressed_image(stamp_ns, self._frame, color)
         info = camera_info(stamp_ns, self._frame, self._camera)
         return [

@@ -198,6 +198,8 @@ class IntegrityMonitor:
     def probability_far(self, belief: Estimate) -> float:
         """That the position is more than :data:`FAR_M` off, because the belief is wrong or because it is wide."""
         sd_m = belief.position_sd_m
+        if not math.isfinite(sd_m):
+            return 1.0  # nothing is known of the position
         by_width = math.erfc(FAR_M / (math.sqrt(2.0) * sd_m)) if sd_m > 0.0 else 0.0
         return self.probability_wrong + (1.0 - self.probability_wrong) * by_width
 

@@ -19,12 +19,13 @@ from monoloc.errors import SettingError
 from monoloc.flight.flight_loop import FlightOutput, FlightStep
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.particle_filter.particles import Particles
+from monoloc.rate_limiter import RateLimiter
 from monoloc.viz.viewer import WINDOW_PORT, open_window
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-_PERIOD_S = 0.1  # between frames that are shown
+_MOST_HZ = 10.0  # frames that are shown
 _LOOK_S = 1.0  # between looks for a viewer
 _MEMORY = "128MiB"  # of what a viewer that comes later is shown
 _SOCKETS = ("/proc/net/tcp", "/proc/net/tcp6")
@@ -54,7 +55,7 @@ class FlightView:
         self._queue: queue.Queue[tuple[FlightStep, Particles] | None] = queue.Queue(1)
         self._entered: Bundle | None = None  # of a place, since the last frame that was shown
         self._has_watcher = False
-        self._shown_s = float("-inf")
+        self._rate = RateLimiter(_MOST_HZ)
         self._closing = threading.Event()
         self._threads = [threading.Thread(target=run, name="view", daemon=True) for run in (self._look, self._draw)]
         for thread in self._threads:
@@ -64,11 +65,12 @@ class FlightView:
         if result.in_place is not None:
             self._entered = result.in_place.entered or self._entered
             result = replace(result, in_place=replace(result.in_place, entered=self._entered))
-        if not self._has_watcher or result.done_s - self._shown_s < _PERIOD_S:
+        if not self._has_watcher or not self._rate.is_due(result.done_s):
             return
         try:
             self._queue.put_nowait((result, self._particles()))
-            self._shown_s, self._entered = result.done_s, None
+            self._entered = None
+            self._rate.use(result.done_s)
         except queue.Full:
             pass
 

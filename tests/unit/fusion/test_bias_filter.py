@@ -471,6 +471,16 @@ def test_prediction_is_that_of_a_frame_and_changes_nothing(motion: Motion | None
     np.testing.assert_array_equal(belief.covariance, predicted.covariance)
 
 
+def test_belief_that_scans_relocalised_without_odometry_does_not_start_anew_at_the_next_frame() -> None:
+    fusion, restarted = filter_at_origin(), []
+    fusion.predict(None, 2.5, by_particles(STEP))
+    fusion.reinitialise(by_particles(STEP))
+    for _ in range(20):
+        frame(fusion, None, by_particles(STEP))
+        restarted.append(fusion.restarted)
+    assert not any(restarted)
+
+
 def test_belief_without_odometry_spreads_with_an_unknown_velocity() -> None:
     fusion, noise = filter_at_origin(), MotionConfig()
     for _ in range(15):

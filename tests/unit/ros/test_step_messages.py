@@ -67,6 +67,20 @@ def test_the_tree_leads_from_the_map_to_the_camera_and_odom_does_not_jump() -> N
         T_odom_base = tree["odom", "base_link"]
 
 
+def test_odom_turns_with_a_gyroscope_and_is_in_metres() -> None:
+    """A turn alone, a motion in metres, and one in units of a depth that is too small by a tenth."""
+    messages = StepMessages(FRAMES, with_obstacles=True)
+    T = se3_exp([0.1, 0.0, 0.05, 0.0, 0.2, 0.0])
+    motions = Motion.rotation(T[:3, :3], 0.01), Motion.metric(T, 0.01, 0.01), Motion(T)
+    for index, measured in enumerate(motions):
+        step = step_at(np.eye(4))
+        step = replace(step, motion=measured, estimate=replace(step.estimate, log_scale=np.log(1.1)))
+        tree = tree_of(messages.of(index * PERIOD_NS, step))
+    shifts = make_pose(T[:3, :3], np.zeros(3)), T, make_pose(T[:3, :3], 1.1 * T[:3, 3])
+    expected = FRAMES.T_base_camera @ shifts[0] @ shifts[1] @ shifts[2] @ invert(FRAMES.T_base_camera)
+    np.testing.assert_allclose(tree["odom", "base_link"], expected, atol=1e-9)
+
+
 def test_odometry_of_another_node_is_corrected_and_not_published() -> None:
     T_odom_base = make_pose(so3_exp([0.0, 0.0, 1.0]), [3.0, 2.0, 1.0])
     step = step_at(se3_exp([1.0, 2.0, 3.0, 0.4, 0.5, 0.6]))

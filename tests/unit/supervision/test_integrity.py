@@ -314,6 +314,12 @@ def test_position_is_far_off_where_the_belief_is_wrong_or_wide(sd_m: float) -> N
     assert far == pytest.approx(wrong + (1.0 - wrong) * beyond, abs=1e-12)
 
 
+def test_position_is_far_off_where_its_covariance_is_negative() -> None:
+    covariance = np.diag([-1.0, -1.0, -1.0, 1e-4, 1e-4, 1e-4])
+    with np.errstate(invalid="ignore"):
+        assert make_monitor().probability_far(Estimate(np.eye(4), covariance, 0.0)) == 1.0
+
+
 def test_doubt_widens_the_covariance_by_its_probability() -> None:
     belief = Estimate(np.eye(4), np.diag([1e-4, 4e-4, 9e-4, 1e-4, 1e-4, 1e-4]), 0.1)
     monitor = make_monitor(is_searched=True)
