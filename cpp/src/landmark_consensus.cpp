@@ -12,6 +12,7 @@ namespace {
 constexpr std::size_t kTriple = 3;
 constexpr std::size_t kMostPoses = 4;  // of a triple
 constexpr std::size_t kFitSteps = 2, kMostFits = 4;  // of a pose to the landmarks that agree with it
+constexpr double kNegligible = 1e-12;  // beside squares of a quartic's roots; rounding leaves few digits of less
 
 double dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 Vec3 scaled(const Vec3& a, double factor) { return {factor * a[0], factor * a[1], factor * a[2]}; }
@@ -50,6 +51,17 @@ double largest_root(double a, double b, double c) {
   const double radius = std::sqrt(-p);
   const double cosine = std::clamp(-q / (radius * radius * radius), -1.0, 1.0);
   return 2.0 * radius * std::cos(std::acos(cosine) / 3.0) - third;
+}
+
+// Real roots of y^4 + p y^2 + r, by the quadratic in y^2. Returns their number.
+std::size_t biquadratic_roots(double p, double r, double* roots) {
+  const double larger = -0.5 * p + std::copysign(std::sqrt(0.25 * p * p - r), -p);
+  std::size_t count = 0;
+  for (const double square : {larger, r / larger}) {  // so, nothing cancels in the smaller
+    if (!(square >= 0.0)) continue;
+    for (const double side : {1.0, -1.0}) roots[count++] = side * std::sqrt(square);
+  }
+  return count;
 }
 
 // Axes of two directions: the first, and the one across both.
@@ -153,15 +165,20 @@ std::size_t real_roots(const double* coefficients, double* roots) {
   const double p = b - 6.0 * shift2, q = c - 2.0 * b * shift + 8.0 * shift2 * shift,
                r = d - c * shift + b * shift2 - 3.0 * shift2 * shift2;
   const double m = largest_root(p, p * p / 4.0 - r, -q * q / 8.0);
-  if (!(m > 0.0)) return 0;  // also if a coefficient is not finite
-  const double middle = std::sqrt(2.0 * m);
+  if (!std::isfinite(m)) return 0;  // nor is a coefficient
   std::size_t count = 0;
-  for (const double sign : {1.0, -1.0}) {
-    const double under = -2.0 * (p + m + sign * q / middle);
-    if (!(under >= 0.0)) continue;
-    for (const double side : {1.0, -1.0}) roots[count++] = 0.5 * (sign * middle + side * std::sqrt(under)) - shift;
+  if (m > kNegligible * (std::abs(p) + std::sqrt(std::abs(r)))) {
+    const double middle = std::sqrt(2.0 * m);
+    for (const double sign : {1.0, -1.0}) {
+      const double under = -2.0 * (p + m + sign * q / middle);
+      if (!(under >= 0.0)) continue;
+      for (const double side : {1.0, -1.0}) roots[count++] = 0.5 * (sign * middle + side * std::sqrt(under)) - shift;
+    }
+  } else {  // q is negligible, and q / middle would be mostly rounding
+    count = biquadratic_roots(p, r, roots);
+    for (std::size_t i = 0; i < count; ++i) roots[i] -= shift;
   }
-  // Two steps of Newton's method against rounding.
+  // Two steps of Newton's method against rounding, and for a q that was neglected.
   for (std::size_t i = 0; i < count; ++i) {
     for (int step = 0; step < 2; ++step) {
       const double x = roots[i], slope = ((4.0 * x + 3.0 * a) * x + 2.0 * b) * x + c;

@@ -22,6 +22,19 @@ void test_roots() {
   const double two[5] = {2.0, -3.0, 3.0, -3.0, 1.0};
   CHECK(monoloc::real_roots(two, roots) == 2);
   CHECK(std::abs(roots[0] + roots[1] - 3.0) < 1e-9 && std::abs(roots[0] * roots[1] - 2.0) < 1e-9);
+  // Without a linear term, or nearly so: x^4 - 1, (x^2 + 4) (x^2 - 1), and x^4 + 1e-8 x - 1, around zero and around 3.
+  const double even[3][3] = {{0.0, 0.0, -1.0}, {3.0, 0.0, -4.0}, {0.0, 1e-8, -1.0}};
+  for (const auto& [square, linear, constant] : even) {
+    for (const double at : {0.0, 3.0}) {
+      const double around[5] = {at * at * (at * at + square) - linear * at + constant,
+                                -2.0 * at * (2.0 * at * at + square) + linear, 6.0 * at * at + square, -4.0 * at, 1.0};
+      CHECK(monoloc::real_roots(around, roots) == 2);
+      for (const double side : {-1.0, 1.0}) {
+        const double root = at + side - linear / (4.0 + 2.0 * square);
+        CHECK(std::abs(roots[side > 0.0] - root) < 1e-13);
+      }
+    }
+  }
   const double none[5] = {1.0, 0.0, 2.0, 0.0, 1.0};  // (x^2 + 1)^2
   CHECK(monoloc::real_roots(none, roots) == 0);
   const double not_finite[5] = {1.0, 0.0, NAN, 0.0, 1.0};
