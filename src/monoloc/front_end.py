@@ -27,6 +27,9 @@ from monoloc.step_budget import Stage, StepPlan
 DepthOfFrame = Callable[[], DepthPrediction | None]
 """The depth of a frame once it is known; None where it is not predicted."""
 
+MOST_ELAPSED_S = 1e12
+"""Between two frames. A clock that is set from 1970 jumps by less, and nanoseconds read as seconds mostly do too."""
+
 _LEAST_POINTS = 10  # of a scan that constrains the pose
 
 
@@ -132,8 +135,8 @@ class FrontEnd:
             plan: number of scan points, and whether depth and landmarks have their turn; None as the settings say.
 
         Raises:
-            ValueError: the image does not have the camera's size or type, time runs backwards, or the motion does
-                not state its noise; nothing has changed then.
+            ValueError: the image does not have the camera's size or type, time runs backwards or jumps by more than
+                :data:`MOST_ELAPSED_S`, or the motion does not state its noise; nothing has changed then.
             TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
             ValueError, TypeError: a component returns what its protocol does not allow.
         """
@@ -143,8 +146,8 @@ class FrontEnd:
         if measured_motion is not None:
             _check_noise(_checked_motion(measured_motion, "measured_motion"))
         elapsed_s = 0.0 if self._is_first else elapsed_s
-        if not 0.0 <= elapsed_s < np.inf:
-            raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
+        if not 0.0 <= elapsed_s <= MOST_ELAPSED_S:
+            raise ValueError(f"elapsed_s must be from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s}")
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
         has_depth = plan is None or plan.has_depth
         is_predicted = measured_depth is None and has_depth

@@ -69,8 +69,9 @@ def test_refused_frame_changes_nothing(
     for each in (localizer, twin):
         follow(each, recording, range(2))
     color, depth = recording.color(2), sparse_depth(recording, 2)
-    with pytest.raises(ValueError, match="elapsed_s"):
-        localizer.step(color, -0.01, depth)
+    for elapsed_s in (-0.01, 1e200):
+        with pytest.raises(ValueError, match="elapsed_s"):
+            localizer.step(color, elapsed_s, depth)
     with pytest.raises(ValueError, match="color"):
         localizer.step(color[:, ::2], FRAME_S, depth)
     with pytest.raises(ValueError, match="the room's surfaces do not tell its direction"):

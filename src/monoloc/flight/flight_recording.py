@@ -30,6 +30,7 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.writer_thread import WriterThread
+from monoloc.front_end import MOST_ELAPSED_S
 from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.image_files import read_color
@@ -138,7 +139,7 @@ class RecordedFrame(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     captured_s: float
-    elapsed_s: float = Field(ge=0.0, le=1e9)
+    elapsed_s: float = Field(ge=0.0, le=MOST_ELAPSED_S)
     done_s: float
     down_camera: tuple[float, float, float] | None
     start: RecordedStart | None = None
