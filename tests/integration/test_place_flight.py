@@ -190,6 +190,7 @@ def test_the_ros_node_goes_through_a_door_in_one_frame(here: Path, monkeypatch: 
 
 def test_the_ros_node_outlives_a_room_that_cannot_be_read(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It says so, finds the camera in another room, and goes on through the door when the room is back."""
+    monkeypatch.setattr("monoloc.place.loaded_rooms._RETRY_S", 0.5)
     stage = Stage(monkeypatch, RoomRecording(Room(), POSES), here / "flight.toml")
     stage.begin()
     stage.give_camera()

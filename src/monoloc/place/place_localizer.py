@@ -80,8 +80,9 @@ class PlaceLocalizer:
 
     Near a door, landmarks of the room beyond are measured too, and the belief goes on there once they explain the
     view better. Where no landmarks of the room are seen for a second, the place is asked, and the camera found in
-    another room is believed there. At most three rooms are in memory. A room that cannot be read, such as from a disk
-    that fails, is not entered until it can; :attr:`unreadable` says so.
+    another room is believed there. Three rooms are in memory, and one more while it is read. A room that cannot be
+    read, such as from a disk that fails, is tried again every few seconds, and not entered until it can be read;
+    :attr:`unreadable` says so.
 
     Args:
         place: as :func:`monoloc.place.place_files.read_place` returns it.
@@ -166,6 +167,7 @@ class PlaceLocalizer:
         if color.shape != shape or color.dtype != np.uint8:
             raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
         self._since_candidate_s += elapsed_s
+        self._rooms.pass_time(elapsed_s)
         frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level)
         if self._localizer is None or self._room is None:
             return self._searched(frame)
