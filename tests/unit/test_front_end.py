@@ -207,6 +207,24 @@ def test_an_image_that_could_not_be_read_is_refused() -> None:
         make_front_end(_Odometry()).observe(None, 0.0, None, None)  # type: ignore[arg-type]
 
 
+def test_the_time_that_images_repeated_before_a_reset_does_not_count_after_it() -> None:
+    front_end = make_front_end()
+    repeated = [front_end.observe(COLOR, 0.1, None, None) for _ in range(2)]
+    front_end.reset()
+    assert repeated[-1].waits and front_end.observe(NEXT, 0.1, None, None).motion_s == 0.0
+
+
+def test_odometrys_motion_since_before_a_reset_is_none() -> None:
+    """The first frame after it may be of another place, and odometry still knows the last one before it."""
+    motion = corners_of(PREDICTED, 0.0)
+    front_end = make_front_end(_Odometry(None, motion, motion))
+    front_end.observe(COLOR, 0.1, None, None)
+    front_end.reset()
+    first = front_end.observe(NEXT, 0.1, None, None)
+    assert first.motion is None and len(first.corners) == 0
+    assert front_end.observe(COLOR, 0.1, None, None).motion is motion
+
+
 def test_image_that_its_owner_overwrites_is_not_a_repeated_one() -> None:
     """A camera driver that gives the same buffer with every frame."""
     front_end, buffer = make_front_end(), COLOR.copy()
