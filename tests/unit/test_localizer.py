@@ -15,7 +15,7 @@ from monoloc.bundle import Bundle
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
-from monoloc.landmarks.pnp import LandmarkMeasurement, NoLandmarks
+from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose, NoLandmarks
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.ray import RayLikelihood
 from monoloc.likelihood.scan import Scan, scan_from_corners
@@ -293,6 +293,27 @@ def test_scan_does_not_confirm_a_start_where_landmarks_should_be_seen_and_are_no
     localizer = localizer_at_truth(mixture, recording, thresholds)
     localizer._landmarks = _NoneFound(expected)
     assert follow(localizer, recording, range(3))[0].state == state
+
+
+class _Seen(NoLandmarks):
+    def __init__(self, pose: FloatArray) -> None:
+        self._pose = LandmarkPose(pose, 1e-6 * np.eye(6), np.zeros((30, 3)))
+
+    def measure(self, seen: None, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        return LandmarkMeasurement(30, 30, self._pose)
+
+
+def test_particles_that_landmarks_contradict_are_drawn_anew_around_the_belief(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    """Without a scan nothing else would bring them back."""
+    rng = np.random.default_rng(0)
+    start = scatter(recording.poses[0] @ se3_exp([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]), 100, 0.03, 0.015, 0.0, rng)
+    localizer = make_localizer(mixture, thresholds, start, recording.poses[:1])
+    localizer._landmarks = _Seen(recording.poses[0])
+    localizer.step(recording.color(0), FRAME_S, NO_DEPTH)
+    away_m = np.linalg.norm(estimate(localizer.particles).pose[:3, 3] - recording.poses[0][:3, 3])
+    assert away_m < 0.05
 
 
 def test_ten_particles_give_rigid_poses(
