@@ -95,3 +95,15 @@ def test_a_computer_that_is_fast_again_does_more_again_one_level_after_the_other
     changes = [at for at, (before, after) in enumerate(pairwise(later)) if before != after]
     assert later[-1] is Level.FULL and np.all(np.diff([int(level) for level in later]) <= 0)
     assert len(changes) == 3 and min(np.diff([0, *changes])) >= 50
+
+
+def test_calm_frames_before_a_level_rose_do_not_bring_it_back() -> None:
+    """Three slow steps within fifty raise it, at the end of nearly fifty calm ones; the next frame is calm again."""
+    computer = Computer()
+    budget = budget_on(computer, 30.0)
+    levels = []
+    for index in range(150):
+        computer.rest_ms = 60.0 if index in (51, 75, 100) else 8.0
+        computer.step(budget, index)
+        levels.append(budget.level)
+    assert levels[:100] == [Level.FULL] * 100 and levels[100:] == [Level.IN_TURN] * 50

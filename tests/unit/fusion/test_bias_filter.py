@@ -450,6 +450,18 @@ def test_known_bias_is_that_of_the_direction_of_motion(step_m: float, has_odomet
     assert corrected.pose[1, 3] == pytest.approx(-np.sign(step_m) * 0.02, rel=0.12)
 
 
+def test_camera_that_has_hovered_for_seconds_has_no_direction_of_motion_any_more() -> None:
+    reference_poses = reference_poses_on_a_line()
+    pose = reference_poses.poses[10]
+    fusion = filter_with(by_particles(pose), reference_poses)
+    offsets_m = []
+    for step_m, elapsed_s in ((0.2, ELAPSED_S), (0.0, 8.0)):
+        pose = pose @ along_x(step_m)
+        frame(fusion, motion_of(along_x(step_m)), by_particles(pose), elapsed_s)
+        offsets_m.append(abs(fusion.without_known_bias(by_particles(pose), pose).pose[1, 3]))
+    assert offsets_m[0] > 0.015 and offsets_m[1] < 0.001
+
+
 def test_jump_of_the_particles_is_no_motion() -> None:
     """Neither the first scan's correction of the start, nor a relocalisation."""
     reference_poses = reference_poses_on_a_line()

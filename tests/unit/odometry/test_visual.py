@@ -294,6 +294,16 @@ def test_motion_after_a_jump_is_relative_to_the_previous_frame(recording):
     assert found.position_m[0] < 2 * LARGEST_M and found.rotation_rad[0] < 2 * LARGEST_RAD
 
 
+def test_a_keyframe_that_is_due_waits_for_a_frame_with_depth(recording: RoomRecording) -> None:
+    """Only depth gives it new corners; one without them would put off the next."""
+    odometry = VisualOdometry(CAMERA)
+    step(odometry, recording, 0)
+    without = odometry.step(recording.color(3), np.zeros_like(recording.depth(3)), CAMERA)
+    motion = step(odometry, recording, 4)
+    assert without is not None and len(without.points) == without.inliers
+    assert motion is not None and len(motion.points) > motion.inliers + 20
+
+
 @pytest.mark.parametrize("gain", [0.25, 1.5])
 def test_change_of_brightness(recording, gain):
     """Every second image is darker or brighter, as an automatic exposure makes them."""
