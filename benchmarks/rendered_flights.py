@@ -60,7 +60,14 @@ class RenderedRoom:
 
     def beside_the_walk(self, name: str, camera: Camera, samples: int) -> Recording:
         """A flight 15 cm and 7 degrees off the walk (standard deviations)."""
-        walk, chosen = self.planned(), slice(90, 700, 8)
+        return self._beside(slice(90, 700, 8), name, camera, samples)
+
+    def beside_at_30_hz(self, camera: Camera) -> Recording:
+        """The first eight seconds of it at 30 images a second."""
+        return self._beside(slice(90, 330), "beside-at-30-hz", camera, 1)
+
+    def _beside(self, chosen: slice, name: str, camera: Camera, samples: int) -> Recording:
+        walk = self.planned()
         phase = np.random.default_rng(self.seed).uniform(0.0, 2.0 * np.pi, 6)
         off = _OFF * np.sin(2.0 * np.pi * walk.times_s[chosen, None] / _PERIODS_S + phase)
         poses = walk.camera_poses()[chosen] @ se3_exp(off)

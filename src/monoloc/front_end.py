@@ -228,9 +228,9 @@ class FrontEnd:
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:
             _checked_motion(odometry, "the result of Components.odometry")
-        return self._best(odometry, measured)
+        return self._best(odometry, measured, elapsed_s)
 
-    def _best(self, odometry: Motion | None, measured: Motion | None) -> Motion | None:
+    def _best(self, odometry: Motion | None, measured: Motion | None, elapsed_s: float) -> Motion | None:
         """The motion that states the smaller noise; corners are the odometry's.
 
         The two are not averaged: odometry's errors of rotation and translation go together, and its translation has
@@ -239,7 +239,7 @@ class FrontEnd:
         if odometry is None or measured is None:
             return measured if odometry is None else odometry
         noise = self._config.motion_noise
-        odometry_sd, measured_sd = (motion_sd(motion, 0.0, 0.0, noise) for motion in (odometry, measured))
+        odometry_sd, measured_sd = (motion_sd(motion, elapsed_s, 0.0, noise) for motion in (odometry, measured))
         if not tracks_translation(measured) or np.linalg.norm(odometry_sd) <= np.linalg.norm(measured_sd):
             return odometry
         return replace(measured, inliers=odometry.inliers, points=odometry.points, log_depth_sd=odometry.log_depth_sd)

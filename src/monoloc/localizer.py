@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from copy import copy
@@ -26,6 +27,7 @@ from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.particle_filter.motion_model import share_of_frame
 from monoloc.particle_filter.particles import Particles
 from monoloc.particle_filter.tempering import tempered_update
 from monoloc.parts import leave_out
@@ -121,6 +123,7 @@ class Localizer:
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
         self._has_landmark_pose = False  # near the belief, when landmarks were last measured
+        self._scan_age_s = math.inf  # since a scan was last weighed
         self._held: tuple[IntegrityMonitor, Mode] | None = None  # at the last image, while others repeat it
         # A start is only a claim about where the camera is. What a search finds is evidence itself.
         can_be_confirmed = len(bundle.landmarks) > 0 or bundle.integrity.scans_can_confirm
@@ -283,11 +286,15 @@ class Localizer:
     def _weighing(self, observation: Observation, mode: Mode) -> Callable[[Particles], Particles]:
         if mode is Mode.SEARCHING:
             return lambda particles: particles
+        self._scan_age_s += observation.elapsed_s
+        of_scan, of_corners = share_of_frame(self._scan_age_s), share_of_frame(observation.elapsed_s)
+        if len(observation.scan):
+            self._scan_age_s = 0.0
 
         def weigh(particles: Particles) -> Particles:
             config = self._config.likelihood
-            particles = weigh_depth_image(particles, observation.scan, self._likelihood, config)
-            return weigh_corners(particles, observation.corners, self._likelihood, config)
+            particles = weigh_depth_image(particles, observation.scan, self._likelihood, config, of_scan)
+            return weigh_corners(particles, observation.corners, self._likelihood, config, of_corners)
 
         return lambda particles: tempered_update(particles, weigh, self._rng)
 

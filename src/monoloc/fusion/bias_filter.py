@@ -28,7 +28,7 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_l
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
-from monoloc.particle_filter.motion_model import MotionConfig, few_corners_factor, motion_sd
+from monoloc.particle_filter.motion_model import MotionConfig, few_corners_factor, motion_sd, share_of_frame
 
 # Errors of odometry are correlated for a second or so. Treated as independent from frame to frame, their standard
 # deviations are inflated by this factor.
@@ -41,7 +41,7 @@ _RECENT_MOTION_S = 1.0  # time constant of the recent motion, which selects the 
 _DECISIVE_LANDMARKS = 20  # so many that agree are not down-weighted
 _CONTRADICTION = 4.0  # times the gate: beyond it, decisive landmarks begin the belief anew
 # Landmark poses of nearby views have nearly the same errors. After this pose distance one counts fully; after less,
-# the variance of its noise is as much larger. A camera that hovers counts as moving by the second.
+# the variance of its noise is as much larger. A camera that hovers counts as moving by the frame.
 _NEW_ERRORS_M, _LEAST_NEW_M = 0.1, 0.1 / 16.0
 _LOG_SCALE_TIME_S = 5.0  # for which predicted depth is wrong by one factor
 
@@ -89,7 +89,8 @@ class BiasAugmentedFilter:
         self._time_since_odometry_s = 0.0
         self._follows_particles = False  # for want of odometry
         self._recent_motion = np.zeros(6)  # a twist in the camera's frame
-        self._moved_m = math.inf  # pose distance since landmarks last moved the belief, as far as it is known
+        # Pose distance and time since landmarks last moved the belief, as far as they are known.
+        self._moved_m = self._since_landmarks_s = math.inf
         self.time_since_update_s = 0.0
         self.restarted = self.landmarks_contradict = False
 
@@ -127,6 +128,7 @@ class BiasAugmentedFilter:
         is_jump = not is_tracked and (elapsed_s == 0.0 or step_m > MOST_STEP_M)  # of the particles, not the camera
         self._recent_motion = decayed(self._recent_motion, elapsed_s) + (np.zeros(6) if is_jump else se3_log(moved))
         self._moved_m += step_m if is_tracked else math.inf
+        self._since_landmarks_s += elapsed_s
         self._state = self._predicted(delta, motion, elapsed_s, step_m)
         self._measured = measured
         self.time_since_update_s = 0.0 if is_tracked else self.time_since_update_s + elapsed_s
@@ -164,7 +166,8 @@ class BiasAugmentedFilter:
         it.
         """
         is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
-        share_new = np.clip(self._moved_m, _LEAST_NEW_M, _NEW_ERRORS_M) / _NEW_ERRORS_M
+        least_m = share_of_frame(self._since_landmarks_s) * _LEAST_NEW_M
+        share_new = np.clip(self._moved_m, least_m, _NEW_ERRORS_M) / _NEW_ERRORS_M
         noise_of_one = self._landmark_noise(measured)
         noise = (noise_of_one + self._wider_bias(measured)) / share_new
         excess = self._state.landmark_excess(measured.pose, noise)
@@ -172,7 +175,7 @@ class BiasAugmentedFilter:
         if is_decisive and excess > _CONTRADICTION:
             return self.reinitialise_from_landmarks(measured)
         self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive, noise_of_one)
-        self._moved_m = 0.0
+        self._moved_m = self._since_landmarks_s = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
@@ -190,7 +193,7 @@ class BiasAugmentedFilter:
         noise, prior_sds = self._landmark_noise(measured), self._prior_sds(measured.pose)
         self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds)
         self.restarted = True
-        self._moved_m = 0.0
+        self._moved_m = self._since_landmarks_s = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 

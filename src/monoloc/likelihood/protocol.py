@@ -88,30 +88,38 @@ def best_over_scales(
 
 
 def weigh_depth_image(
-    particles: Particles, scan: Scan, likelihood: ScanLikelihood, config: LikelihoodConfig
+    particles: Particles, scan: Scan, likelihood: ScanLikelihood, config: LikelihoodConfig, share: float = 1.0
 ) -> Particles:
-    """Particles after the evidence of a depth image's scan."""
-    return _weigh(particles, scan, likelihood, config.effective_points, config.log_depth_sd)
+    """Particles after the evidence of a depth image's scan, of which a share counts."""
+    return _weigh(particles, scan, likelihood, config.effective_points, config.log_depth_sd, share)
 
 
 def weigh_corners(
-    particles: Particles, corners: Scan, likelihood: ScanLikelihood, config: LikelihoodConfig
+    particles: Particles, corners: Scan, likelihood: ScanLikelihood, config: LikelihoodConfig, share: float = 1.0
 ) -> Particles:
-    """Particles after the evidence of refined corners."""
-    return _weigh(particles, corners, likelihood, config.effective_corners, config.corner_log_depth_sd)
+    """Particles after the evidence of refined corners, of which a share counts."""
+    return _weigh(particles, corners, likelihood, config.effective_corners, config.corner_log_depth_sd, share)
 
 
 def _weigh(
-    particles: Particles, scan: Scan, likelihood: ScanLikelihood, effective_points: float, log_depth_sd: float
+    particles: Particles,
+    scan: Scan,
+    likelihood: ScanLikelihood,
+    effective_points: float,
+    log_depth_sd: float,
+    share: float,
 ) -> Particles:
     """The scan counts as ``effective_points`` independent points, or as many as it has if these are fewer.
+
+    Args:
+        share: by which this number is multiplied.
 
     Raises:
         ValueError: a likelihood of a user's own does not return a finite value for each particle.
     """
-    if len(scan) == 0 or effective_points == 0.0:
+    if len(scan) == 0 or share * effective_points == 0.0:
         return particles
     mean = likelihood.mean_log_likelihood(particles.poses, particles.log_scale, scan, log_depth_sd)
     mean = float64("what mean_log_likelihood returns", mean, len(particles.log_weights))
-    log_weights = particles.log_weights + min(effective_points, len(scan)) * mean
+    log_weights = particles.log_weights + share * min(effective_points, len(scan)) * mean
     return Particles(particles.poses, particles.log_scale, normalised(log_weights))

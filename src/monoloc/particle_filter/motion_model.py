@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -12,6 +14,7 @@ from monoloc.particle_filter.particles import Particles
 # The fewer corners agree with a motion, the less exact it is: a power law. Median error of the rotation in 800 steps
 # of two real recordings: 0.2 degrees by more than 200 of at most 300 corners, 0.5 by 100 to 150, 0.9 by 70 to 100.
 _ENOUGH_INLIERS, _INLIER_POWER = 200, 1.5
+_FRAME_S, _LEAST_S = 0.06, 1e-3  # between images that count as frames of their own, and at least
 
 
 class MotionConfig(BaseModel):
@@ -21,7 +24,8 @@ class MotionConfig(BaseModel):
         speed_sd_m_s, turn_sd_rad_s: for frames without odometry: standard deviation of the velocity per axis. The
             velocity is redrawn after every frame that constrains the pose and constant while none does.
         translation_sd_m, translation_sd_ratio: odometry's translation noise, per axis: constant and share of
-            the distance moved, if many corners agree with it; with few, both are larger.
+            the distance moved, if many corners agree with it; with few, both are larger. Of a faster camera than
+            16 Hz, a second and a distance have the variance that they have at 16 Hz.
         rotation_sd_rad, rotation_sd_ratio: its rotation noise, likewise.
         log_scale_correlation: correlation of the depth's log-scale over one second.
     """
@@ -35,6 +39,11 @@ class MotionConfig(BaseModel):
     rotation_sd_rad: float = Field(0.0015, gt=0.0, le=10.0)
     rotation_sd_ratio: float = Field(0.05, ge=0.0, le=10.0)
     log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
+
+
+def share_of_frame(elapsed_s: float) -> float:
+    """As how much of a frame an image counts, by the seconds since the last: images of a fast camera share errors."""
+    return min(1.0, max(elapsed_s, _LEAST_S) / _FRAME_S)
 
 
 def few_corners_factor(inliers: int) -> float:
@@ -57,8 +66,10 @@ def motion_sd(
         return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * equivalent_s
     delta = motion.T_previous_current
     translation_ratio, rotation_ratio = config.translation_sd_ratio, config.rotation_sd_ratio
-    translation_sd = float(np.hypot(config.translation_sd_m, translation_ratio * np.linalg.norm(delta[:3, 3])))
-    rotation_sd = float(np.hypot(config.rotation_sd_rad, rotation_ratio * rotation_angle(delta[:3, :3])))
+    root = math.sqrt(share_of_frame(elapsed_s))
+    moved_m, turned_rad = np.linalg.norm(delta[:3, 3]) / root, rotation_angle(delta[:3, :3]) / root
+    translation_sd = float(np.hypot(root * config.translation_sd_m, translation_ratio * moved_m))
+    rotation_sd = float(np.hypot(root * config.rotation_sd_rad, rotation_ratio * turned_rad))
     factor = few_corners_factor(motion.inliers)
     translation_sd, rotation_sd = factor * translation_sd, factor * rotation_sd
     if motion.translation == "unknown":

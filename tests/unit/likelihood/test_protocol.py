@@ -93,6 +93,17 @@ def test_more_points_of_one_image_give_no_more_evidence(config: LikelihoodConfig
 
 
 @pytest.mark.parametrize("weigh", [weigh_depth_image, weigh_corners])
+def test_a_share_of_the_evidence_counts(weigh: Any, scan: Scan) -> None:
+    """Four frames of a fast camera, each with a quarter, say as much as one."""
+    particles = particles_at(make_particles(50, np.random.default_rng(0))[0])
+    once, often = weigh(particles, scan, _Recorder(), LikelihoodConfig()), particles
+    for _ in range(4):
+        often = weigh(often, scan, _Recorder(), LikelihoodConfig(), 0.25)
+    np.testing.assert_allclose(often.log_weights, once.log_weights, atol=1e-9)
+    assert weigh(particles, scan, _Recorder(), LikelihoodConfig(), 0.0) is particles
+
+
+@pytest.mark.parametrize("weigh", [weigh_depth_image, weigh_corners])
 def test_without_evidence_particles_stay(weigh: Any, scan: Scan) -> None:
     particles = particles_at(make_particles(5, np.random.default_rng(0))[0])
     likelihood: ScanLikelihood = _Recorder()

@@ -36,7 +36,7 @@ def test_odometry_noise_grows_with_the_motion() -> None:
     spreads = []
     for delta in (np.eye(4), make_pose(so3_exp([0.0, 0.5, 0.0]), [1.0, 0.0, 0.0])):
         particles = particles_at(np.tile(POSE, (4000, 1, 1)))
-        after = predict(particles, motion_of(delta), 0.1, 0.0, 0.0, config, np.random.default_rng(0))
+        after = predict(particles, motion_of(delta), 1.0 / 15.0, 0.0, 0.0, config, np.random.default_rng(0))
         spreads.append(se3_log(invert(POSE @ delta) @ after.poses).std(axis=0))
     assert np.allclose(spreads[0], [0.01] * 3 + [0.005] * 3, rtol=0.06)
     assert np.allclose(spreads[1], [np.hypot(0.01, 0.2)] * 3 + [np.hypot(0.005, 0.05)] * 3, rtol=0.06)
@@ -81,6 +81,15 @@ def test_random_walk_spreads_with_elapsed_time() -> None:
     assert np.allclose(spread(0.0), 0.0)
     assert np.allclose(spread(0.1), [0.05] * 3 + [0.03] * 3, rtol=0.06)
     assert np.all(spread(0.2) > 1.3 * spread(0.1))
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 0.3, 2.0], ids=["hover", "slow", "fast"])
+def test_odometry_noise_of_a_second_is_no_larger_for_a_fast_camera(speed_m_s: float) -> None:
+    variances = []
+    for elapsed_s in (0.06, 0.03, 0.015):
+        twist = elapsed_s * np.array([speed_m_s, 0.0, 0.0, 0.0, 0.5 * speed_m_s, 0.0])
+        variances.append(motion_sd(motion_of(se3_exp(twist)), elapsed_s, 0.0, MotionConfig()) ** 2 / elapsed_s)
+    np.testing.assert_allclose(variances, variances[:1] * 3, rtol=1e-3)  # a chord is a little shorter than its arc
 
 
 @pytest.mark.parametrize("rate_hz", [1, 10, 30])
