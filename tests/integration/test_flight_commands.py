@@ -373,7 +373,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),
         (("replay", "flight"), "flight", "is no recorded flight", "monoloc fly --record"),
         (("replay", "log", "--room", "flight"), "flight", "is not a bundle", "monoloc build"),
-        (("replay", "log", "--out", "log/poses.csv"), "--out", "is read by this command", "another place"),
+        (("replay", "log", "--out", "log/poses.csv"), "--out", "lies in log, which is read", "a new file"),
     ],
 )
 def test_wrong_arguments_are_refused(

@@ -182,6 +182,7 @@ def with_trajectory(here: Path) -> None:
             "lies in the bundle room.monoloc",
             "name another",
         ),
+        (nothing, (*LOCALIZE[:6], "flight/poses.txt"), "--out", "lies in flight, which is read", "a new file"),
         # Evaluate and inspect.
         (nothing, ("evaluate", "no.txt", "flight"), "no.txt", "cannot be read", "check the path"),
         (with_trajectory, ("evaluate", "trajectory.txt", "no"), "", "/no: does not exist", "check the path"),

@@ -121,7 +121,7 @@ def build(
       monoloc build my-recording --tune none --no-map-transform --no-landmarks --out plain.monoloc
       monoloc build my-recording --network midas.toml --out midas.monoloc     (another network)
     """
-    check_bundle_output(out, (network,))
+    check_bundle_output(out, (source, network))
     config = _settings_of(method, settings)
     remarks = []
     if trainable_file(network) is None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from monoloc.bundle_manifest import container_of
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
 from monoloc.files import at_home, target_of
+from monoloc.io import dataset_description, nerfstudio
 from monoloc.viz.viewer import RECORD_INSTEAD, require_window
+
+_DESCRIPTIONS = {dataset_description.FILE_NAME, nerfstudio.FILE_NAME}  # each a SOURCE that stands for its folder
 
 
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Path | None] = ()) -> None:
@@ -39,7 +42,10 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Pat
 
 
 def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
-    """Reject an output that is an input, or that is inside a bundle or a place.
+    """Reject an output that is an input, replaces a file in a folder that is one, or is inside a bundle or a place.
+
+    A new file may lie in a folder that is read. That an older one there is not of the recording is not known before
+    it is opened, so all are kept.
 
     Args:
         path: the output.
@@ -49,13 +55,23 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
     Raises:
         SettingError: the output is rejected; the error names the option.
     """
-    target = target_of(path)
-    texts = [str(given) for given in inputs if given is not None]
-    for text in (*texts, *(text.partition(":")[2] for text in texts)):  # PATH or FORMAT:PATH
-        source = Path(os.path.realpath(at_home(text)))
-        if text and source == target:
-            raise SettingError(option, f"{path} is read by this command", "name another place")
     _check_outside(path, option)
+    target = target_of(path)
+    for text in _paths_in(inputs):
+        source = Path(os.path.realpath(at_home(text)))
+        if source == target:
+            raise SettingError(option, f"{path} is read by this command", "name another place")
+        folder = source.parent if source.name in _DESCRIPTIONS else source
+        if folder in target.parents and target.is_file():
+            problem = f"{path} lies in {text}, which is read by this command"
+            raise SettingError(option, problem, "name a new file, or another place")
+
+
+def _paths_in(inputs: Sequence[str | Path | None]) -> Iterator[str]:
+    """The paths that inputs may stand for: PATH, FORMAT:PATH, or either with #TOPIC of a bag."""
+    for given in inputs:
+        for text in () if given is None else (str(given), str(given).partition(":")[2]):
+            yield from (each for each in dict.fromkeys((text, text.rpartition("#")[0])) if each)
 
 
 def _check_outside(path: Path, option: str) -> None:

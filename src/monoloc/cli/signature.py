@@ -46,7 +46,7 @@ def keys(
       monoloc signature keys team        (writes team.key and team.pub)
     """
     private, public = Path(f"{name}.key"), Path(f"{name}.pub")
-    check_apart(private, "NAME", (private.parent,))
+    check_apart(private, "NAME", ())
     make_keys(private, public)
     stderr.print(f"written: {private} (keep it secret) and {public}", soft_wrap=True)
     if json:

@@ -105,10 +105,12 @@ def test_choice_of_frames_is_refused_where_there_are_none() -> None:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with two files of a bundle, a cloud, a link to it, a video, an empty folder and a pipe."""
-    (tmp_path / "room.monoloc").mkdir()
-    (tmp_path / "run").mkdir()
-    for name in ("room.monoloc/manifest.json", "room.monoloc/depth.onnx", "room.xyz", "flight.mp4"):
+    """A working folder with two files of a bundle and of a recording, a cloud, a link to it, a video, an empty folder
+    and a pipe."""
+    for folder in ("room.monoloc", "run", "walk"):
+        (tmp_path / folder).mkdir()
+    files = ("room.monoloc/manifest.json", "room.monoloc/depth.onnx", "walk/dataset.toml", "walk/poses.txt")
+    for name in (*files, "room.xyz", "flight.mp4"):
         (tmp_path / name).write_text("content")
     (tmp_path / "link.txt").symlink_to("room.xyz")
     os.mkfifo(tmp_path / "pipe")
@@ -128,12 +130,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("room.monoloc/map.png", ("room.monoloc",), "lies in the bundle room.monoloc"),
         ("run/../room.monoloc/manifest.json", (), "lies in the bundle run/../room.monoloc"),
         ("room.monoloc/sub/map.png", (), "lies in the bundle room.monoloc"),
+        ("walk/poses.txt", ("walk",), "walk/poses.txt lies in walk, which is read by this command"),
+        ("walk/poses.txt", ("folder:~/walk/",), "walk/poses.txt lies in ~/walk/"),
+        ("walk/poses.txt", ("walk/dataset.toml",), "walk/poses.txt lies in walk/dataset.toml"),
+        ("flight.mp4", ("rosbag:flight.mp4#/camera",), "flight.mp4 is read"),
     ],
 )
 def test_output_in_the_place_of_an_input_is_refused(
     here: Path, output: str, inputs: tuple[str | None, ...], problem: str
 ) -> None:
-    refuses_setting(lambda: check_apart(Path(output), "--out", inputs), "--out", problem, "name another place")
+    refuses_setting(lambda: check_apart(Path(output), "--out", inputs), "--out", problem, "another place")
 
 
 @pytest.mark.parametrize(
@@ -157,6 +163,7 @@ def test_output_that_cannot_be_written_is_refused(
 def test_outputs_may_be_new_older_or_linked(here: Path) -> None:
     check_outputs({"--out": Path("new.txt"), "--plot": Path("link.txt"), "--record": None}, ("flight.mp4", None))
     check_outputs({"--out": Path("room.xyz")})
+    check_outputs({"--out": Path("walk/trajectory.txt")}, ("walk",))
 
 
 def test_loop_of_links_is_left_to_the_reader(here: Path) -> None:
