@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_helpers import json_of, outputs, refused
+from cli_helpers import json_of, refused
 from monoloc.bundle import Bundle, read_bundle, write_bundle
 from monoloc.errors import BundleError
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -305,10 +305,6 @@ def test_commands(
     )
     assert json.loads(Path("house.place/place.json").read_text())["doors"][0]["b"] == RIGHT
     assert isinstance(read_place("house.place").manifest.doors[0], Door)
-    _, err = outputs(capfd, "place", "new", "house.place", "left.monoloc", "right.monoloc")
-    assert "note: house.place: the doors that it had are gone (1); measure them again by place door" in err
-    _, err = outputs(capfd, "place", "new", "house.place", "left.monoloc", "right.monoloc")
-    assert "note:" not in err
 
 
 def test_commands_refuse_what_they_cannot_do(

@@ -27,7 +27,7 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.output_checks import check_outputs, check_suffix
 from monoloc.cli.signature import RequireSignatureOption
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door
 from monoloc.place.place_files import Place, check_place_target, make_place, read_place, replaced_doors, write_place
 from monoloc.place.place_run import PlaceRun, localize_in_place
@@ -50,19 +50,20 @@ def new(
 ) -> None:
     """Make a place of bundles.
 
-    A room has the name of its bundle, which stays where it is.
+    A room has the name of its bundle, which stays where it is. A place with doors is not replaced.
 
     \b
     Examples:
       monoloc place new house.place kitchen.monoloc hall.monoloc study.monoloc
     """
     check_place_target(place)
-    made, doors = make_place(place, bundles, require_signature), replaced_doors(place)
+    if doors := replaced_doors(place):
+        raise DataError(
+            place, f"exists, and its doors would be lost ({doors})", "name another place, or remove this one first"
+        )
+    made = make_place(place, bundles, require_signature)
     size = write_place(made)
     stderr.print(f"written: {place} (rooms: {len(made.names)}, doors: none yet)", soft_wrap=True)
-    if doors:
-        note = f"the doors that it had are gone ({doors}); measure them again by place door"
-        stderr.print(f"note: {place}: {note}", soft_wrap=True)
     if json:
         print_json({"place": str(place), "rooms": made.names, "bytes": size})
 

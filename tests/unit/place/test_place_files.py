@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli_helpers import refused, succeeds
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST
 from monoloc.errors import SettingError
@@ -157,6 +158,18 @@ def test_an_index_that_is_not_what_was_written_is_refused(here: Path) -> None:
     refuses_data(lambda: read_place(place.path), file, "it is not what was written", "place new")
     file.unlink()
     refuses_data(lambda: read_place(place.path), file, "cannot be read", "place new")
+
+
+def test_a_new_place_is_refused_where_measured_doors_would_be_lost(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = str(here / "house.place")
+    new = ("place", "new", path, str(here / "hall.monoloc"))
+    write_place(a_place(here))
+    refused(capfd, here, new, path, "exists, and its doors would be lost .2.", "remove this one first")
+    write_place(make_place(here / "house.place", [here / "study.monoloc"]))
+    succeeds(capfd, *new)
+    assert read_place(path).names == ["hall"]
 
 
 def test_bundles_that_make_no_place_are_refused(here: Path) -> None:
