@@ -124,7 +124,9 @@ def update(
     chosen = proposed if auto else _chosen(proposed, apply)
     updated, left = applied(room, evidence, chosen, rules, rng)
     was_signed = (target / SIGNATURE).is_file()
-    is_written = left is not before or out is not None
+    unused = None if chosen else _none_used(flights)
+    plot = plot if unused is None else None
+    is_written = unused is None and (left is not before or out is not None)
     with found.held() if is_written else nullcontext():
         if plot is not None:  # first, so that a bundle is not replaced and then reported as failed
             shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
@@ -135,7 +137,17 @@ def update(
             write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
-    _print(target, flights, evidence, proposed, chosen, plot, json)
+    _print(target, flights, evidence, proposed, chosen, plot, json, 0 if unused is None else 1)
+    if unused is not None:
+        raise unused
+
+
+def _none_used(flights: Sequence[ObservedFlight]) -> DataError | None:
+    """What is wrong with the flights, if not one of them could be used."""
+    if not flights or any(flight.refusal is None for flight in flights):
+        return None
+    others = "" if len(flights) == 1 else f", and none of the other flights can be used ({len(flights) - 1})"
+    return DataError(flights[0].name, f"{flights[0].refusal}{others}", flights[0].fix)
 
 
 def _check_outputs(bundle: Path, out: Path | None, plot: Path | None, sources: list[str]) -> None:
@@ -206,7 +218,9 @@ def _print(
     chosen: list[Proposal],
     plot: Path | None,
     json: bool,
+    skipped: int,
 ) -> None:
+    """Print what an update comes to, without a line of the first ``skipped`` flights, which an error names."""
     used = {id(each) for each in chosen}
     if json:
         print_json(
@@ -218,6 +232,7 @@ def _print(
                         "usable_frames": len(each.frames),
                         "states": each.states,
                         "refusal": each.refusal,
+                        "fix": each.fix or None,
                     }
                     for each in flights
                 ],
@@ -227,8 +242,9 @@ def _print(
             }
         )
         return
-    for flight in flights:
-        said = f"{len(flight.frames)} usable frames" if flight.refusal is None else f"refused: {flight.refusal}"
+    for flight in flights[skipped:]:
+        usable, refused = f"{len(flight.frames)} usable frames", f"refused: {flight.refusal}; {flight.fix}"
+        said = usable if flight.refusal is None else refused
         stderr.print(f"{flight.name}: {said}", soft_wrap=True)
     say_written(plot)
     rows = [

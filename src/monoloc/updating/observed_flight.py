@@ -73,6 +73,7 @@ class ObservedFlight:
         states: number of frames in each state.
         depth_error: standard deviation of depth.
         refusal: why nothing may be learned from it; None where it may.
+        fix: what to do about that; empty where nothing is refused.
     """
 
     name: str
@@ -81,6 +82,7 @@ class ObservedFlight:
     states: dict[State, int]
     depth_error: DepthError
     refusal: str | None
+    fix: str = ""
 
     def error_m(self, depth_m: FloatArray) -> FloatArray:
         """Standard deviation of depths (...) as surface in the map."""
@@ -112,9 +114,8 @@ def observe(
     localize(bundle, recording, start, bundle.settings, rng, progress, viewer=watcher)
     depth_error = DepthError(_SENSOR_SD, 0.0, True) if is_sensor_depth else DepthError.of(bundle)
     states: dict[State, int] = dict(watcher.states)
-    return ObservedFlight(
-        recording.name, watcher.frames, watcher.detected, states, depth_error, _refusal(watcher, rules)
-    )
+    refusal, fix = _refusal(watcher, rules) or (None, "")
+    return ObservedFlight(recording.name, watcher.frames, watcher.detected, states, depth_error, refusal, fix)
 
 
 def views_of(bundle: Bundle) -> LandmarkViews:
@@ -130,21 +131,27 @@ def views_of(bundle: Bundle) -> LandmarkViews:
     return views
 
 
-def _refusal(watcher: _Watcher, rules: UpdateRules) -> str | None:
+def _refusal(watcher: _Watcher, rules: UpdateRules) -> tuple[str, str] | None:
+    """The problem with a flight, and what to do; None if there is none."""
     count = sum(watcher.states.values())
     share = sum(watcher.states[state] for state in VOUCHED_FOR) / count
     if watcher.mismatches > _MOST_MISMATCHES * count:
-        return f"landmarks fit another focal length in {watcher.mismatches} of {count} frames"
+        problem = f"landmarks fit another focal length in {watcher.mismatches} of {count} frames"
+        return problem, "give the intrinsics of its camera (--camera)"
     if share < rules.least_tracking_share:
-        return f"{share:.0%} of its frames are tracking, fewer than {rules.least_tracking_share:.0%}"
+        problem = f"{share:.0%} of its frames are tracking, fewer than {rules.least_tracking_share:.0%}"
+        return problem, "give a flight in this room, slow and where its build looked"
     if watcher.known > 0.5 * count:
-        return f"{watcher.known} of its {count} frames built the map or were counted before"
+        problem = f"{watcher.known} of its {count} frames built the map or were counted before"
+        return problem, "give another flight"
     if len(watcher.frames) < rules.least_views:
         others = ", ".join(f"{why}: {number}" for why, number in watcher.left_out.most_common())
-        return f"{len(watcher.frames)} of its frames are usable, fewer than {rules.least_views} ({others})"
+        problem = f"{len(watcher.frames)} of its frames are usable, fewer than {rules.least_views} ({others})"
+        return problem, "give a longer flight where the build looked"
     if (found := scale_problem(watcher.recording, watcher.depth_ratios)) is None:
         return None
-    return f"{'; '.join(found)}, or leave it out: --depth predicted"
+    problem, fix = found
+    return problem, f"{fix}, or leave it out: --depth predicted"
 
 
 class _Watcher:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +16,12 @@ from cli_helpers import json_of, listing, outputs, refused, remove_depth, succee
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.main import invoke
+from monoloc.obstacles.depth_error import DepthError
+from monoloc.updating.observed_flight import ObservedFlight
 from monoloc.updating.proposals import proposals
 from monoloc.updating.room_evidence import Evidence, write_evidence
 from monoloc.updating.tally import Tally
-from synthetic_room import write_recording
+from synthetic_room import SMALL_CAMERA, write_recording
 from update_helpers import LEFT, RULES, flight, mapped
 
 UPDATE = ("map", "update", "room.monoloc")
@@ -124,6 +127,27 @@ def test_refusals(
     here: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], names: str, problem: str, fix: str
 ) -> None:
     refused(capfd, here, (*UPDATE, *arguments), names, problem, fix)
+
+
+def test_flights_of_which_none_can_be_used_end_with_what_to_do_and_write_nothing(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recording(here / "flight", flight(1))
+    detected, depth_error = SMALL_CAMERA, DepthError(0.1, 0.0, True)
+    seen = ObservedFlight("wednesday", [], detected, {"lost": 6}, depth_error, "0% of its frames are tracking", "fly")
+    monkeypatch.setattr("monoloc.cli.map_update.observe", lambda *given: seen)
+    before = listing(here)
+    given = ("folder:flight", "folder:flight", "--out", "new.monoloc", "--plot", "change.png")
+    assert invoke([*UPDATE, *given, "--json"]) == 2
+    out, err = capfd.readouterr()
+    problem = "0% of its frames are tracking, and none of the other flights can be used (1)"
+    assert f"monoloc: wednesday: {problem}; fly\n" in err
+    assert invoke([*UPDATE, "folder:flight"]) == 2
+    assert capfd.readouterr().err.count("wednesday: ") == 1  # its problem and the fix are said once
+    assert [each["fix"] for each in json.loads(out)["flights"]] == ["fly", "fly"]
+    assert listing(here) == before
+    outputs(capfd, *UPDATE, "folder:flight", "--auto")  # applies what earlier flights showed
+    assert read_bundle(here / "room.monoloc").edits
 
 
 def test_a_write_protected_bundle_is_refused_before_flights_are_looked_at(
