@@ -34,6 +34,7 @@ _GOOD_LANDMARKS = 20
 _LEAST_VIEWS = 3  # whose landmarks tell the focal length, before they speak for it
 _POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
 _MOST_LOAD = 0.8  # of a serial port
+_FASTER = "set threads = 2, then budget_ms"
 _GOOD_TILT_DEG = 3.0  # between the body by mount and by the autopilot
 _EVERY = 3  # of the frames whose image is measured
 
@@ -235,13 +236,14 @@ def _of_timing(summary: FlightSummary, most_age_s: float, firmware: Firmware | N
         level = "good" if rate_hz >= _GOOD_RATE_HZ else level
         is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
         asked = "" if firmware is None else f"; {firmware.title} asks for {firmware.asked_rate}"
-        fix = f"the source gives no more{asked}" if is_slow_camera else "set threads = 2, then budget_ms"
+        fix = f"the source gives no more{asked}" if is_slow_camera else _FASTER
         remark = "" if level == "good" else fix
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning"
         level = level if p95_s <= most_age_s else "bad"
-        remark = "" if level == "good" else f"poses older than most_age_s, {most_age_s:g} s, are not sent"
+        too_old = "" if p95_s <= most_age_s else f"; poses older than most_age_s, {most_age_s:g} s, are not sent"
+        remark = "" if level == "good" else f"where the computer is slow, {_FASTER}{too_old}"
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
 
 
@@ -264,10 +266,19 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
         remark = "" if is_good else "use a faster port, or send fewer messages: they wait for it"
         yield Finding("round trip", "good" if is_good else "warning", f"{1e3 * link.round_trip_s:.0f} ms", remark)
     yield from _of_mount(link.mount)
-    for rule in link.firmware.parameters:
+    yield from _of_parameters(link)
+
+
+def _of_parameters(link: LinkReport) -> Iterator[Finding]:
+    rules = link.firmware.parameters
+    if silent := [rule for rule in rules if rule.name not in link.parameters]:
+        remark = "let the port pass parameters on, or compare by hand: "
+        remark += ", ".join(f"{rule.name} = {rule.value:g}" for rule in silent)
+        yield Finding("parameters", "warning", f"{len(silent)} of {len(rules)} not answered", remark)
+    for rule in rules:
         if rule.name not in link.parameters:
-            yield Finding(rule.name, "warning", "not answered", f"set it to {rule.value:g}: {rule.why}")
-        elif rule.holds(link.parameters[rule.name]):
+            continue
+        if rule.holds(link.parameters[rule.name]):
             yield Finding(rule.name, "good", f"{link.parameters[rule.name]:g}")
         else:
             yield Finding(

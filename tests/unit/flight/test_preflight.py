@@ -153,7 +153,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("EKF2_EV_DELAY", "good", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_EV_DELAY": 15.0})}),
         ("EKF2_EV_DELAY", "warning", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_EV_DELAY": 45.0})}),
         ("EKF2_HGT_REF", "bad", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_HGT_REF": 1.0})}),
-        ("EKF2_HGT_REF", "warning", {"link": replace(HEARD, parameters={})}),
+        ("parameters", "warning", {"link": replace(HEARD, parameters={})}),
     ],
 )
 def test_what_is_wrong_is_named(name: str, level: Level, given: dict[str, object]) -> None:
@@ -216,6 +216,22 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
     link = None if firmware is None else replace(HEARD, firmware=firmware)
     rate = findings_of(good_step(), rate_hz=8.0, late=late, link=link)["rate"]
     assert (rate.level, rate.remark) == ("warning", fix)
+
+
+def test_latency_is_answered_with_what_shortens_it_and_with_its_limit_only_beyond_it() -> None:
+    faster = "where the computer is slow, set threads = 2, then budget_ms"
+    assert findings_of(good_step(), age_s=0.15)["latency"].remark == faster
+    remark = findings_of(good_step(), age_s=0.3)["latency"].remark
+    assert remark == f"{faster}; poses older than most_age_s, 0.2 s, are not sent"
+
+
+def test_parameters_without_an_answer_share_one_line() -> None:
+    answered = {"EKF2_HGT_REF": 3.0, "EKF2_EV_POS_X": 0.0}
+    findings = findings_of(good_step(), link=replace(HEARD, parameters=answered))
+    assert set(PARAMETERS) & set(findings) == set(answered)
+    parameters = findings["parameters"]
+    assert parameters.value == f"{len(PARAMETERS) - 2} of {len(PARAMETERS)} not answered"
+    assert "by hand: EKF2_EV_CTRL = 11, EKF2_EV_POS_Y = 0, " in parameters.remark
 
 
 def test_noise_in_place_of_an_autopilot_is_said_to_be_the_baud_rates() -> None:
