@@ -334,6 +334,13 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         ((*LIVE, "--intrinsics", INTRINSICS), "camera:987", "cannot be opened", "plugged in"),
         (("fly",), "ROOM", "is missing", "name a bundle"),
         (("fly", "absent.monoloc", "flight"), "absent.monoloc", "", "monoloc build"),
+        (("fly", "absent.toml"), "absent.toml", "there is no such flight file", "check the path"),
+        (
+            ("fly", "room.monoloc", "flight", "--start-error-deg", "5"),
+            "--start-error-deg",
+            "has no effect without a start",
+            "give a start too",
+        ),
         (("fly", "room.monoloc", "absent"), "", "does not exist", ""),
         (("fly", "room.monoloc", "flight", "--start", "1,2"), "--start", "is '1,2'", "TX,TY,TZ"),
         (("fly", "room.monoloc", "flight", "--settings", "absent.toml"), "absent.toml", "cannot be read", "TOML"),
@@ -394,13 +401,14 @@ def test_wrong_arguments_are_refused(
         ("record", "poses.csv", "is a file", "name a folder"),
         ("camera", "640,480", "is '640,480'", "a .toml of monoloc calibrate"),
         ("start", "1,2", "is '1,2'", "TX,TY,TZ"),
+        ("start_error_cm", 5.0, "has no effect without a start", "or leave it out"),
         ("mavlink", "here", "is 'here'", "udpin"),
         ("firmware", "px4", "is given without an autopilot", "give the autopilot's address"),
         ("source", "camera:x", "unknown format 'camera'", "known formats"),
     ],
 )
 def test_what_a_file_sets_is_refused_by_its_name_there(
-    capfd: Capture, here: Path, command: str, field: str, value: str, problem: str, fix: str
+    capfd: Capture, here: Path, command: str, field: str, value: str | float, problem: str, fix: str
 ) -> None:
     content = {"room": "room.monoloc", "source": "flight", "down": [0, 1, 0], field: value}
     content |= {"firmware": "px4"} if field == "mavlink" else {}

@@ -20,6 +20,7 @@ from monoloc.cli.common import (
     naming,
     print_json,
     say_written,
+    stderr,
 )
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
@@ -30,6 +31,7 @@ from monoloc.cli.flight_options import (
     check_autopilot,
     flight_of,
     map_of,
+    note_of_mount,
     open_frames,
     starting_of,
 )
@@ -85,7 +87,7 @@ def doctor(
       monoloc doctor room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
     """
     given: dict[str, object] = {"source": source, "camera": intrinsics, "mavlink": mavlink, "firmware": firmware}
-    room, flight, names = flight_of(room, settings, **given)
+    room, flight, names, stated = flight_of(room, settings, **given)
     inputs = room, flight.source, settings, flight.require_signature
     check_outputs({"--report": report}, inputs)
     with naming(names):
@@ -110,6 +112,8 @@ def doctor(
         link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
         outputs: list[FlightOutput] = [preflight]
         mount = None
+        for line in note_of_mount(flight, stated):
+            stderr.print(line, soft_wrap=True)
         if link is not None and tells_gravity(flown, flight.settings):
             mount = MountCheck(frames_of(flown, flight.settings), link.attitude_at)
             outputs.append(mount)

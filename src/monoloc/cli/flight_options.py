@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import typer
@@ -23,7 +23,7 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.start_option import UNKNOWN, start_of
 from monoloc.config import override
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray
@@ -71,13 +71,25 @@ FirmwareOption = Annotated[
 ]
 
 
-def flight_of(
-    room: Path | None, settings: Path | None, **options: object
-) -> tuple[Path, FlightFile, Mapping[str, str]]:
-    """The bundle or place and the flight that a user asks for, and the names of what the file sets.
+class AskedFlight(NamedTuple):
+    """A flight that a user asks for.
 
-    The names are for :func:`monoloc.cli.common.naming`: without it, errors about what the file says would name the
-    options that say the same.
+    Attributes:
+        room: bundle or place.
+        flight: with the defaults of what is not stated.
+        names: of what the file sets, for :func:`monoloc.cli.common.naming`: without it, errors about what the file
+            says would name the options that say the same.
+        stated: fields of the flight that the file or an option sets.
+    """
+
+    room: Path
+    flight: FlightFile
+    names: Mapping[str, str]
+    stated: Set[str]
+
+
+def flight_of(room: Path | None, settings: Path | None, **options: object) -> AskedFlight:
+    """The flight that a user asks for.
 
     Args:
         room: first argument, a bundle, a place or a file.
@@ -86,24 +98,53 @@ def flight_of(
 
     Raises:
         DataError: the file cannot be used.
-        SettingError: neither bundle nor place is named, two files are named, or an option is invalid.
+        SettingError: neither bundle nor place is named, two files are named, or a setting is invalid or in vain.
     """
-    if room is not None and room.suffix.lower() == ".toml" and room.is_file():
+    if room is not None and room.suffix.lower() == ".toml" and not room.is_dir():
+        if not room.exists():
+            raise DataError(room, "there is no such flight file", "check the path")
         if settings is not None:
             raise SettingError("--settings", f"is given beside {room}", "name one file")
         room, settings = None, room
-    flight = FlightFile() if settings is None else read_flight_file(settings)
+    file = FlightFile() if settings is None else read_flight_file(settings)
     with naming({name: "--" + name.replace("_", "-") for name in options}):
-        flight = override(flight, room=room, **options)
-    given = {"room": room, **options}
-    names = {} if settings is None else _names_in(settings, {name for name in given if given[name] is not None})
+        flight = override(file, room=room, **options)
+    given = {name for name, value in {"room": room, **options}.items() if value is not None}
+    names = {} if settings is None else _names_in(settings, given)
+    with naming(names):
+        # A start of the file that the command line takes back needs no other file, so its errors are left alone.
+        _check_start_errors(flight, given | (file.model_fields_set if file.start == UNKNOWN else set()))
     bundle = flight.room
     if bundle is None:
         where = "" if settings is None else f" and {settings} has no room"
         raise SettingError("ROOM", f"is missing{where}", "name a bundle of monoloc build")
     timed = {name: getattr(flight, name) for name in ("out", "mcap", "record")}
     changes = {name: Path(time.strftime(str(path))) for name, path in timed.items() if path and "%" in str(path)}
-    return bundle, flight.model_copy(update=changes), names
+    return AskedFlight(bundle, flight.model_copy(update=changes), names, given | file.model_fields_set)
+
+
+def _check_start_errors(flight: FlightFile, given: Set[str]) -> None:
+    for name in ("start_error_cm", "start_error_deg"):
+        if flight.start == UNKNOWN and name in given:
+            option = "--" + name.replace("_", "-")
+            raise SettingError(option, "has no effect without a start", "give a start too, or leave it out")
+
+
+def note_of_mount(flight: FlightFile, stated: Set[str], measures_north: bool = False) -> Iterator[str]:
+    """What is said before a flight whose messages rest on a mount or a heading that nobody stated.
+
+    Args:
+        flight, stated: as :class:`AskedFlight`.
+        measures_north: whether the flight is to find the heading.
+    """
+    assumed = {}
+    if "mount" not in stated and (flight.mavlink is not None or flight.mcap is not None):
+        assumed["[mount]"] = "the camera is taken to look forward, upright, from the body's origin"
+    if flight.mavlink is not None and "north_deg" not in stated and not measures_north:
+        assumed["north_deg"] = "the map's x axis is taken to point north"
+    if assumed:
+        what = " and no ".join(assumed)
+        yield f"note: no {what}: {', and '.join(assumed.values())}; write {' and '.join(assumed)} into flight.toml"
 
 
 def _names_in(settings: Path, given: Set[str]) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +30,7 @@ from monoloc.cli.flight_options import (
     check_autopilot,
     flight_of,
     map_of,
+    note_of_mount,
     open_frames,
     starting_of,
 )
@@ -148,7 +149,7 @@ def fly(
       monoloc fly flight.toml rtsp://192.168.1.20/stream --record flight-%Y%m%d-%H%M%S
       monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv --mcap flight.mcap
     """
-    room, flight, names = flight_of(
+    room, flight, names, stated = flight_of(
         room,
         settings,
         source=source,
@@ -198,6 +199,7 @@ def fly(
                 output, remark = opened.enter_context(shown)
                 outputs.append(output)
                 say(remark)
+            _say_all(note_of_mount(flight, stated, align), say)
             waits_for_marker = starting.begins == "waiting"
             if flight.record is not None:
                 header = FlightHeader(
@@ -259,6 +261,11 @@ def fly(
         _say_written(flight, summary, say)
     if summary.failures:
         raise summary.failures[0]
+
+
+def _say_all(lines: Iterable[str], say: Callable[[str], None]) -> None:
+    for line in lines:
+        say(line)
 
 
 def _say_written(flight: FlightFile, summary: FlightSummary, say: Callable[[str], None]) -> None:
