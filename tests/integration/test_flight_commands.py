@@ -259,6 +259,19 @@ def test_a_flights_mcap_file_is_a_recording_with_its_poses(capfd: Capture, here:
     assert len(read_rosbag(here / "b.mcap", ReaderOptions())) == 4
 
 
+def test_files_of_an_earlier_flight_are_kept_under_a_number(capfd: Capture, here: Path) -> None:
+    """A service that is restarted in flight, with the same file, flies."""
+    before = (here / "poses.csv").read_bytes()
+    (here / "a.mcap").write_bytes(b"of the flight before")
+    content = 'room = "room.monoloc"\nsource = "flight"\nout = "poses.csv"\nmcap = "a.mcap"\n'
+    (here / "flight.toml").write_text(content + "[mount]\n")
+    _, err = outputs(capfd, "fly", "flight.toml", "--fast", "--frames", "0:2")
+    assert "note: poses.csv: is there already, and is kept as poses-1.csv\n" in err
+    assert "note: a.mcap: is there already, and is kept as a-1.mcap\n" in err and "taken to" not in err
+    assert (here / "poses-1.csv").read_bytes() == before and len(rows_of(here / "poses.csv")) == 2
+    assert (here / "a-1.mcap").read_bytes() == b"of the flight before"
+
+
 # --- A file that holds the flight ---
 
 FLIGHT = 'room = "room.monoloc"\nsource = "folder:flight"\nstart = "truth"\nout = "file-%Y.csv"\nrecord = "log-%Y"\n'

@@ -13,6 +13,7 @@ from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, 
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap, require_viewing
 from monoloc.files import target_of
+from monoloc.flight.earlier_flight import earlier_name, keep_earlier
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import FlightOutput, FlightSummary
 from monoloc.flight.mcap_log import McapLog, step_recorder
@@ -78,9 +79,17 @@ def logs(
     if flight.out is not None:
         yield BackgroundPoseLog(flight.out, unwritten, flown.is_place)
     if flight.mcap is not None:
+        keep_earlier(flight.mcap)
         with_obstacles = flown.room is None or tells_obstacles(flown.room)
         recorder = step_recorder(flight.mcap, True, flown, camera, flight.settings, with_obstacles)
         yield McapLog(recorder, clock_offset_s, unwritten)
+
+
+def notes_of_earlier(flight: FlightFile) -> Iterator[str]:
+    """What is said before a flight whose tables or MCAP files are there already."""
+    for path in (flight.out, flight.mcap):
+        if path is not None and (name := earlier_name(path)) is not None:
+            yield f"note: {path}: is there already, and is kept as {name.name}"
 
 
 def report(

@@ -34,7 +34,7 @@ from monoloc.cli.flight_options import (
     open_frames,
     starting_of,
 )
-from monoloc.cli.flight_outputs import check_flight_outputs, check_view, logs, report
+from monoloc.cli.flight_outputs import check_flight_outputs, check_view, logs, notes_of_earlier, report
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
@@ -103,7 +103,8 @@ def fly(
         typer.Option(
             "--out",
             "-o",
-            help="CSV to write: pose, covariance, state, reasons of each frame; %Y%m%d-%H%M%S stands for the start.",
+            help="CSV to write: pose, covariance, state, reasons of each frame; %Y%m%d-%H%M%S stands for the start. "
+            "An earlier file is kept as NAME-1.csv.",
         ),
     ] = None,
     mcap: Annotated[
@@ -199,7 +200,7 @@ def fly(
                 output, remark = opened.enter_context(shown)
                 outputs.append(output)
                 say(remark)
-            _say_all(note_of_mount(flight, stated, align), say)
+            _say_all((*note_of_mount(flight, stated, align), *notes_of_earlier(flight)), say)
             waits_for_marker = starting.begins == "waiting"
             if flight.record is not None:
                 header = FlightHeader(

@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 from monoloc.errors import DataError
+from monoloc.flight.earlier_flight import keep_earlier
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray, rotation_to_quaternion
@@ -25,7 +26,8 @@ class PoseLog:
     Frames are named by their number among the localised ones, six digits, as are the images of a recorded flight.
 
     Args:
-        path: is replaced with the first row, not before: a flight without a frame leaves what was there.
+        path: is written with the first row, not before. What was there is then kept, see
+            :mod:`monoloc.flight.earlier_flight`; a flight without a frame leaves it in its place.
         has_rooms: whether the flight is in a place, so that a last column says in which room's world a pose is.
 
     Raises:
@@ -34,11 +36,7 @@ class PoseLog:
 
     def __init__(self, path: Path, has_rooms: bool = False) -> None:
         self._path, self._has_rooms = path, has_rooms
-        try:
-            self._file = path.open("ab", buffering=0)  # a buffer would keep the rest of a row for later
-        except OSError as error:
-            fix = "name a file in a folder you can write to"
-            raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
+        self._file = self._opened()
         self._size = self._count = 0  # bytes of whole rows, and frames
 
     def take(self, result: FlightStep) -> None:
@@ -61,9 +59,17 @@ class PoseLog:
         self._write_row(values)
 
     def _begin(self) -> None:
-        if self._path.is_file():
-            self._file.truncate(0)
+        if keep_earlier(self._path):
+            self._file.close()
+            self._file = self._opened()
         self._write_row((*COLUMNS, ROOM) if self._has_rooms else COLUMNS)
+
+    def _opened(self) -> io.FileIO:
+        try:
+            return self._path.open("ab", buffering=0)  # a buffer would keep the rest of a row for later
+        except OSError as error:
+            fix = "name a file in a folder you can write to"
+            raise DataError(self._path, f"cannot be written ({error.strerror})", fix) from error
 
     def _write_row(self, values: tuple[str, ...]) -> None:
         text = io.StringIO()

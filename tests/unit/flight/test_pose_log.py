@@ -71,7 +71,7 @@ def test_a_file_that_cannot_be_written_is_named_at_once_or_when_the_disk_is_full
         refuses_data(lambda: log.take(result), full, "cannot be written .No space left on device.", "make room")
 
 
-def test_a_flight_without_a_frame_leaves_the_table_of_the_one_before(tmp_path: Path) -> None:
+def test_the_table_of_the_flight_before_stays_in_its_place_until_a_frame_and_is_kept(tmp_path: Path) -> None:
     path, result = tmp_path / "poses.csv", result_at(0.1, step_at(np.eye(4)))
     path.write_text("of the flight before\n")
     PoseLog(path).close()
@@ -81,6 +81,12 @@ def test_a_flight_without_a_frame_leaves_the_table_of_the_one_before(tmp_path: P
     log.close()
     header, row = path.read_text().splitlines()
     assert header.startswith("time_s,frame,") and row.startswith("0.1,000000,")
+    assert (tmp_path / "poses-1.csv").read_text() == "of the flight before\n"
+    again = PoseLog(path)
+    again.take(result)
+    again.close()
+    assert path.read_bytes() == (tmp_path / "poses-2.csv").read_bytes()
+    assert {each.name for each in tmp_path.iterdir()} == {"poses.csv", "poses-1.csv", "poses-2.csv"}
 
 
 def test_a_disk_that_fills_up_is_said_once_and_the_rows_before_are_whole(tmp_path: Path) -> None:
