@@ -66,6 +66,12 @@ def test_right_recording_is_good(workspace: Path, capfd: pytest.CaptureFixture[s
     check_picture(workspace / "drawn" / "pictures.png", 1200, 800)
 
 
+def test_what_was_found_is_on_stdout_unless_json_is(workspace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert invoke(["check", "flight"]) == 0
+    assert capfd.readouterr().out.startswith("flight: good\n")
+    assert "flight: good\n" in checked(capfd, 0, "flight")[1]
+
+
 def test_other_convention_is_bad_is_not_built_and_is_good_once_fixed(
     workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
 ) -> None:

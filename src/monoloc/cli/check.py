@@ -72,7 +72,7 @@ def check(
     if plot is not None:
         plot_check(plot, inspection, title=source if bundle_path is None else f"{source} against {target}")
     say_written(plot)
-    print_findings(source, inspection.findings, inspection.level)
+    print_findings(source, inspection.findings, inspection.level, json)
     if json:
         print_json(_content(source, inspection))
     return EXIT_CODES[inspection.level]

@@ -122,7 +122,7 @@ def doctor(
         heard = None if link is None else _ask(link, flight, errors)
     findings = preflight.findings(summary, heard, failure)
     level = worst(findings)
-    print_findings(f"{flight.source} in {room}", findings, level)
+    print_findings(f"{flight.source} in {room}", findings, level, json)
     content = {"level": level, "findings": [asdict(finding) for finding in findings], **summary.figures()}
     if report is not None:
         write_whole(report, json_text(bug_report(flight, flown.rooms(), camera, content)).encode() + b"\n")

@@ -13,6 +13,7 @@ import typer
 from monoloc.cli.common import (
     BudgetOption,
     JsonOption,
+    PlainConsole,
     naming,
     print_json,
     stderr,
@@ -142,11 +143,11 @@ def _report(frames: int, different: list[int], same_messages: bool | None, heade
         figures = {"frames": frames, "different_frames": len(different), "first_different_frame": first}
         print_json({**figures, "same_messages": same_messages})
         return
-    version = header.monoloc_version
+    console, version = PlainConsole(), header.monoloc_version
     other = "" if version == __version__ else f" (monoloc {version} computed it)"
     if different:
-        stderr.print(f"{frames} frames: {len(different)} differ from the flight{other}, the first is {different[0]}")
+        console.print(f"{frames} frames: {len(different)} differ from the flight{other}, the first is {different[0]}")
     else:
-        stderr.print(f"{frames} frames: every pose is the same to the last bit")
+        console.print(f"{frames} frames: every pose is the same to the last bit")
     if same_messages is not None:
-        stderr.print("messages: the same to the last bit" if same_messages else f"messages: not the same{other}")
+        console.print("messages: the same to the last bit" if same_messages else f"messages: not the same{other}")
