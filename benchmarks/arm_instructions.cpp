@@ -114,8 +114,8 @@ Work weigh() {
   const std::size_t stride = 304;
   return [=, from = particles(12, stride), scan = seen(kPoints), weights = floats(kPoints, 0.5f, 1.0f),
           out = std::vector<double>(stride)]() mutable {
-    kernels().weigh(room_index().view(), from.data(), stride, 0, stride, scan.data(), weights.data(), kPoints, 0.7f,
-                    0.01f, out.data());
+    kernels().weigh(room_index().view(), from.data(), stride, scan.data(), weights.data(), kPoints, 0.7f, 0.01f,
+                    out.data());
   };
 }
 
@@ -389,7 +389,7 @@ Work weigh_call(const Shared& call) {
   return [call, mixture] {
     std::vector<double> out(call->count(4));
     mixture->weigh(call->at(3), call->at(4), out.size(), call->at<float>(5), call->at<float>(6),
-                   call->count<float>(5, 3), {call->number(7), call->number(8), call->number(9)}, 1, out.data());
+                   call->count<float>(5, 3), {call->number(7), call->number(8), call->number(9)}, out.data());
   };
 }
 

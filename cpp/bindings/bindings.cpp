@@ -101,28 +101,28 @@ void require_lengths(const Poses& poses, const Scalars& log_scales, const FloatV
 
 Result index_weigh(const monoloc::MixtureIndex& index, const Poses& poses, const Scalars& log_scales,
                    const FloatVectors& scan, const std::optional<Floats>& point_weights, double outlier_share,
-                   double volume_m3, std::size_t threads) {
+                   double volume_m3) {
   require_lengths(poses, log_scales, scan, point_weights);
   const std::size_t count = poses.shape(0);
   std::vector<double> out(count);
   {
     nb::gil_scoped_release release;
     index.weigh(poses.data(), log_scales.data(), count, scan.data(), point_weights ? point_weights->data() : nullptr,
-                scan.shape(0), outlier_share, volume_m3, threads, out.data());
+                scan.shape(0), outlier_share, volume_m3, out.data());
   }
   return to_numpy(std::move(out), {count});
 }
 
 Result rays_weigh(const monoloc::RayMixture& mixture, const Poses& poses, const Scalars& log_scales,
                   const FloatVectors& scan, const std::optional<Floats>& point_weights, double log_depth_sd,
-                  double outlier_share, double log_depth_range, std::size_t threads) {
+                  double outlier_share, double log_depth_range) {
   require_lengths(poses, log_scales, scan, point_weights);
   const std::size_t count = poses.shape(0);
   std::vector<double> out(count);
   {
     nb::gil_scoped_release release;
     mixture.weigh(poses.data(), log_scales.data(), count, scan.data(), point_weights ? point_weights->data() : nullptr,
-                  scan.shape(0), {log_depth_sd, outlier_share, log_depth_range}, threads, out.data());
+                  scan.shape(0), {log_depth_sd, outlier_share, log_depth_range}, out.data());
   }
   return to_numpy(std::move(out), {count});
 }
@@ -319,7 +319,7 @@ NB_MODULE(_core, m) {
           },
           "points"_a)
       .def("weigh", &index_weigh, "poses"_a, "log_scales"_a, "scan"_a, "point_weights"_a.none(), "outlier_share"_a,
-           "volume_m3"_a, "threads"_a)
+           "volume_m3"_a)
       .def_prop_ro("voxel_m", &monoloc::MixtureIndex::voxel_m)
       .def_prop_ro("voxels", &monoloc::MixtureIndex::voxels)
       .def_prop_ro("lists", &monoloc::MixtureIndex::lists)
@@ -333,5 +333,5 @@ NB_MODULE(_core, m) {
           },
           "weights"_a, "means"_a, "covariances"_a)
       .def("weigh", &rays_weigh, "poses"_a, "log_scales"_a, "scan"_a, "point_weights"_a.none(), "log_depth_sd"_a,
-           "outlier_share"_a, "log_depth_range"_a, "threads"_a);
+           "outlier_share"_a, "log_depth_range"_a);
 }

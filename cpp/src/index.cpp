@@ -1,17 +1,10 @@
 #include "monoloc/index.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 #include "padded.hpp"
-#include "pool.hpp"
 
 namespace monoloc {
-namespace {
-
-constexpr std::size_t kShare = 64;  // particles per task; a multiple of kPadding
-
-}  // namespace
 
 IndexView MixtureIndex::view() const {
   IndexView view{};
@@ -47,7 +40,7 @@ std::size_t MixtureIndex::evaluations(const double* points, std::size_t count) c
 
 void MixtureIndex::weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
                          const float* point_weights, std::size_t points, double outlier_share, double volume_m3,
-                         std::size_t threads, double* out) const {
+                         double* out) const {
   if (particles == 0) return;
   const std::size_t stride = padded(particles);
   std::vector<float> rows(12 * stride), scan_rows(3 * points);
@@ -64,13 +57,10 @@ void MixtureIndex::weigh(const double* poses, const double* log_scales, std::siz
     for (int axis = 0; axis < 3; ++axis) scan_rows[axis * points + p] = scan[3 * p + axis];
   }
   std::vector<double> result(stride);
-  const IndexView index = view();
   const auto inlier_share = static_cast<float>(1.0 - outlier_share);
   const auto outlier_density = static_cast<float>(outlier_share / volume_m3);
-  run_on_threads((stride + kShare - 1) / kShare, threads, [&](std::size_t share) {
-    kernels().weigh(index, rows.data(), stride, share * kShare, std::min(stride, (share + 1) * kShare),
-                    scan_rows.data(), point_weights, points, inlier_share, outlier_density, result.data());
-  });
+  kernels().weigh(view(), rows.data(), stride, scan_rows.data(), point_weights, points, inlier_share, outlier_density,
+                  result.data());
   for (std::size_t n = 0; n < particles; ++n) out[n] = result[n];
 }
 

@@ -115,13 +115,12 @@ MONOLOC_INLINE std::size_t evaluate_batch(const IndexView& index, Batch& batch, 
 
 // The inner loop is over particles: neighbouring particles map a scan point to neighbouring voxels, whose table
 // entries and lists stay in the L1 cache.
-void weigh(const IndexView& index, const float* particles, std::size_t stride, std::size_t begin, std::size_t end,
-           const float* scan, const float* point_weights, std::size_t points, float inlier_share,
-           float outlier_density, double* out) {
+void weigh(const IndexView& index, const float* particles, std::size_t stride, const float* scan,
+           const float* point_weights, std::size_t points, float inlier_share, float outlier_density, double* out) {
   Batch batch;
   batch.x[kBatch] = batch.y[kBatch] = batch.z[kBatch] = batch.density[kBatch] = 0.0f;
-  for (std::size_t first = begin; first < end; first += kBatch) {
-    const std::size_t count = end - first < kBatch ? end - first : kBatch;
+  for (std::size_t first = 0; first < stride; first += kBatch) {
+    const std::size_t count = stride - first < kBatch ? stride - first : kBatch;
     alignas(64) double total[kBatch] = {};
     for (std::size_t p = 0; p < points; ++p) {
       const float px = scan[p], py = scan[points + p], pz = scan[2 * points + p];

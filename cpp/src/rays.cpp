@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "padded.hpp"
-#include "pool.hpp"
 #include "ray_selection.hpp"
 
 namespace monoloc {
@@ -97,7 +96,7 @@ Rows RayMixture::within(const double* centre, double reach) const {
 }
 
 void RayMixture::weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
-                       const float* point_weights, std::size_t points, const RayNoise& noise, std::size_t threads,
+                       const float* point_weights, std::size_t points, const RayNoise& noise,
                        double* out) const {
   if (particles == 0) return;
   const Spread spread = spread_of(poses, particles);
@@ -124,8 +123,7 @@ void RayMixture::weigh(const double* poses, const double* log_scales, std::size_
   const auto sd = static_cast<float>(noise.log_depth_sd);
   const auto inlier_share = static_cast<float>(1.0 - noise.outlier_share);
   const auto outlier_density = static_cast<float>(noise.outlier_share / noise.log_depth_range);
-  run_on_threads((particles + kRayBatch - 1) / kRayBatch, threads, [&](std::size_t share) {
-    const std::size_t first = share * kRayBatch;
+  for (std::size_t first = 0; first < particles; first += kRayBatch) {
     const std::vector<float> batch = particle_rows(poses, log_scales, particles, spread.centre, first, 1, kRayBatch);
     const std::vector<float> offsets = offsets_of(view, batch, kRayBatch);
     Candidates own;
@@ -137,7 +135,7 @@ void RayMixture::weigh(const double* poses, const double* log_scales, std::size_
                          candidates.components.data(), candidates.first.data(), sd, inlier_share, outlier_density,
                          scratch.data(), result);
     std::copy(result, result + std::min(kRayBatch, particles - first), out + first);
-  });
+  }
 }
 
 }  // namespace monoloc

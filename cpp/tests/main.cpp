@@ -10,7 +10,6 @@ int main() {
   test_rejects_indefinite();
   test_log_density_and_expectation();
   test_index();
-  test_threads();
   test_pool();
   test_ray_mixture();
   test_pooling();

@@ -1,6 +1,5 @@
 // The indexed map: density, and likelihood of particles.
 #include <cmath>
-#include <random>
 #include <vector>
 
 #include "check.hpp"
@@ -40,7 +39,7 @@ void test_index() {
   const double log_scales[2] = {std::log(1.5), 0.0};
   const float scan[6] = {0.2f, 0.1f, 0.3f, -0.4f, 0.2f, 0.1f}, weights[2] = {2.0f, 0.5f};
   double weighed[2];
-  index.weigh(poses, log_scales, 2, scan, weights, 2, 0.2, 20.0, 1, weighed);
+  index.weigh(poses, log_scales, 2, scan, weights, 2, 0.2, 20.0, weighed);
   double expected = 0.0;
   for (int p = 0; p < 2; ++p) {
     const double s[3] = {1.5 * scan[3 * p], 1.5 * scan[3 * p + 1], 1.5 * scan[3 * p + 2]};
@@ -48,30 +47,4 @@ void test_index() {
     expected += weights[p] * std::log(0.8 * room.density(moved) + 0.2 / 20.0);
   }
   CHECK(std::abs(weighed[0] - expected) < 2.0 * tolerance * 2.5);
-}
-
-// Results are bitwise equal for any number of threads, which may increase or decrease between calls.
-void test_threads() {
-  const Room room(60);
-  const monoloc::MixtureIndex index(room.components, {0.1, 0.01, 0.02});
-  const std::size_t count = 1000, points = 50;
-  std::mt19937_64 random(3);
-  std::normal_distribution<double> normal(0.0, 0.1);
-  std::vector<double> poses(16 * count, 0.0), log_scales(count), alone(count), shared(count);
-  std::vector<float> scan(3 * points);
-  for (std::size_t n = 0; n < count; ++n) {
-    for (const std::size_t diagonal : {0, 5, 10, 15}) poses[16 * n + diagonal] = 1.0;
-    for (const std::size_t axis : {3, 7, 11}) poses[16 * n + axis] = normal(random);
-    log_scales[n] = normal(random);
-  }
-  for (std::size_t i = 0; i < scan.size(); ++i) scan[i] = static_cast<float>(room.means[i % room.means.size()]);
-  index.weigh(poses.data(), log_scales.data(), count, scan.data(), nullptr, points, 0.2, 20.0, 1, alone.data());
-  for (const std::size_t threads : {2, 5, 3, 64}) {
-    for (int round = 0; round < 50; ++round) {
-      shared.assign(count, 0.0);
-      index.weigh(poses.data(), log_scales.data(), count, scan.data(), nullptr, points, 0.2, 20.0, threads,
-                  shared.data());
-      CHECK(shared == alone);
-    }
-  }
 }

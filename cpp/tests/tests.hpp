@@ -11,7 +11,6 @@ void test_component_density(const monoloc::Kernels& kernels);
 void test_exponential(const monoloc::Kernels& kernels);
 void test_logarithm(const monoloc::Kernels& kernels);
 void test_selection(const monoloc::Kernels& kernels);
-void test_threads();
 void test_pool();
 void test_kernels(const monoloc::Kernels& kernels);
 void test_rays(const monoloc::Kernels& kernels);

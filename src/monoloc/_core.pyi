@@ -94,7 +94,6 @@ class MixtureIndex:
         point_weights: _F32 | None,
         outlier_share: float,
         volume_m3: float,
-        threads: int,
     ) -> _F64: ...
     @property
     def voxel_m(self) -> float: ...
@@ -118,5 +117,4 @@ class RayMixture:
         log_depth_sd: float,
         outlier_share: float,
         log_depth_range: float,
-        threads: int,
     ) -> _F64: ...

@@ -33,10 +33,10 @@ class MixtureIndex {
 
   // For each particle: sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V).
   //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame;
-  //   point_weights (P), or nullptr for ones; threads: number of threads, which does not affect the result.
+  //   point_weights (P), or nullptr for ones.
   void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
              const float* point_weights, std::size_t points, double outlier_share, double volume_m3,
-             std::size_t threads, double* out) const;
+             double* out) const;
 
   double voxel_m() const { return voxel_m_; }
   std::size_t voxels() const { return voxels_; }

@@ -95,12 +95,11 @@ struct ShortlistView {
 struct Kernels {
   const char* name;
 
-  // sum_p w_p log(inlier_share M(A_n x_p + t_n) + outlier_density) for particles first <= n < last, both multiples of
-  // kPadding. particles: 12 rows (A row-major, then t) of `stride` floats, padded; scan: 3 rows of `points` floats;
-  // out: `stride` doubles.
-  void (*weigh)(const IndexView& index, const float* particles, std::size_t stride, std::size_t first,
-                std::size_t last, const float* scan, const float* point_weights, std::size_t points,
-                float inlier_share, float outlier_density, double* out);
+  // sum_p w_p log(inlier_share M(A_n x_p + t_n) + outlier_density) of each particle n. particles: 12 rows (A row-major,
+  // then t) of `stride` floats, padded; scan: 3 rows of `points` floats; out: `stride` doubles.
+  void (*weigh)(const IndexView& index, const float* particles, std::size_t stride, const float* scan,
+                const float* point_weights, std::size_t points, float inlier_share, float outlier_density,
+                double* out);
 
   // Density of the indexed mixture at centred points: 3 rows of `stride` floats, padded; 0 outside the voxels.
   // Returns the number of evaluated blocks.

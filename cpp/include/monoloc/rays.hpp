@@ -23,10 +23,9 @@ class RayMixture {
 
   // For each particle: sum_p w_p log p(log d_p | ray), see monoloc.map.numpy_twins.weigh_rays.
   //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame, z > 0; point_weights (P), or
-  //   nullptr for ones; threads: number of threads, which does not affect the result.
+  //   nullptr for ones.
   void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
-             const float* point_weights, std::size_t points, const RayNoise& noise, std::size_t threads,
-             double* out) const;
+             const float* point_weights, std::size_t points, const RayNoise& noise, double* out) const;
 
  private:
   // A cube with components, which are those from first up to last.

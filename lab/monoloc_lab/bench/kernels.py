@@ -121,7 +121,7 @@ def bench_kernels(
     )
 
 
-def weigher(index: MixtureIndex, given: Weighing, volume_m3: float, threads: int = 1) -> Work:
+def weigher(index: MixtureIndex, given: Weighing, volume_m3: float) -> Work:
     """One weighing, as a function to be timed."""
     return lambda: index.weigh(
         given.poses,
@@ -129,7 +129,6 @@ def weigher(index: MixtureIndex, given: Weighing, volume_m3: float, threads: int
         given.scan,
         outlier_share=_OUTLIER_SHARE,
         volume_m3=volume_m3,
-        threads=threads,
     )
 
 

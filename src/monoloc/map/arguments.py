@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-_MAX_THREADS = 256
-
 
 def checked_array(
     name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: DTypeLike
@@ -39,13 +37,11 @@ def float32(name: str, value: ArrayLike, *shape: int | None) -> NDArray[np.float
     return checked_array(name, value, shape, np.float32).astype(np.float32, copy=False)
 
 
-def check_outliers_and_threads(outlier_share: float, threads: int) -> None:
-    """Check two arguments of all likelihood functions.
+def check_outlier_share(outlier_share: float) -> None:
+    """Check an argument of all likelihood functions.
 
     Raises:
-        ValueError: the share is not in (0, 1], or the number of threads is not 1 to 256.
+        ValueError: the share is not in (0, 1].
     """
     if not 0.0 < outlier_share <= 1.0:
         raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
-    if not 1 <= threads <= _MAX_THREADS:
-        raise ValueError(f"threads must be 1 to {_MAX_THREADS}, got {threads}")

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 import monoloc._core as _core
 from monoloc.geometry import FloatArray
-from monoloc.map.arguments import check_outliers_and_threads, float32, float64
+from monoloc.map.arguments import check_outlier_share, float32, float64
 
 
 class MixtureIndex:
@@ -68,7 +68,6 @@ class MixtureIndex:
         outlier_share: float,
         volume_m3: float,
         point_weights: ArrayLike | None = None,
-        threads: int = 1,
     ) -> FloatArray:
         """Untempered log-likelihood of a scan for each particle.
 
@@ -81,22 +80,21 @@ class MixtureIndex:
             outlier_share: eps in (0, 1], share of scan points that the map does not explain.
             volume_m3: V, volume in which outliers are uniformly distributed.
             point_weights: w, (P,); None for ones.
-            threads: number of threads, which does not affect the result. They stay alive for the next call.
 
         Returns:
             (N,) float64, nats.
 
         Raises:
-            ValueError: a shape is wrong, a value is not finite, or eps, V or threads is out of range.
+            ValueError: a shape is wrong, a value is not finite, or eps or V is out of range.
         """
-        check_outliers_and_threads(outlier_share, threads)
+        check_outlier_share(outlier_share)
         if not 0.0 < volume_m3 < np.inf:
             raise ValueError(f"volume_m3 must be positive and finite, got {volume_m3}")
         poses = float64("poses", poses, None, 4, 4)
         scan = float32("scan", scan, None, 3)
         weights = None if point_weights is None else float32("point_weights", point_weights, len(scan))
         return self._native.weigh(
-            poses, float64("log_scales", log_scales, len(poses)), scan, weights, outlier_share, volume_m3, threads
+            poses, float64("log_scales", log_scales, len(poses)), scan, weights, outlier_share, volume_m3
         )
 
     @property

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 import monoloc._core as _core
 from monoloc.geometry import FloatArray
-from monoloc.map.arguments import check_outliers_and_threads, float32, float64
+from monoloc.map.arguments import check_outlier_share, float32, float64
 
 LOG_DEPTH_RANGE = 4.0  # support of outliers, which are uniform in log-depth: 0.15 m to 8 m
 
@@ -34,7 +34,6 @@ class RayMixture:
         log_depth_sd: float,
         outlier_share: float,
         point_weights: ArrayLike | None = None,
-        threads: int = 1,
     ) -> FloatArray:
         """Untempered log-likelihood of a scan's depths, given their rays, for each particle.
 
@@ -50,7 +49,6 @@ class RayMixture:
             log_depth_sd: standard deviation of an inlier's log-depth.
             outlier_share: eps in (0, 1].
             point_weights: w, (P,); None for ones.
-            threads: number of threads, which does not affect the result.
 
         Returns:
             (N,) float64, nats.
@@ -58,7 +56,7 @@ class RayMixture:
         Raises:
             ValueError: a shape is wrong, or a value is not finite or out of range.
         """
-        check_outliers_and_threads(outlier_share, threads)
+        check_outlier_share(outlier_share)
         if not 0.0 <= log_depth_sd < np.inf:
             raise ValueError(f"log_depth_sd must be finite and not negative, got {log_depth_sd}")
         poses = float64("poses", poses, None, 4, 4)
@@ -67,6 +65,4 @@ class RayMixture:
             raise ValueError("scan must lie before the camera: z > 0")
         weights = None if point_weights is None else float32("point_weights", point_weights, len(scan))
         log_scales = float64("log_scales", log_scales, len(poses))
-        return self._native.weigh(
-            poses, log_scales, scan, weights, log_depth_sd, outlier_share, LOG_DEPTH_RANGE, threads
-        )
+        return self._native.weigh(poses, log_scales, scan, weights, log_depth_sd, outlier_share, LOG_DEPTH_RANGE)

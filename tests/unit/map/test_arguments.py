@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monoloc.map.arguments import check_outliers_and_threads, float32, float64
+from monoloc.map.arguments import check_outlier_share, float32, float64
 
 
 def test_valid_array_is_converted_and_contiguous() -> None:
@@ -33,10 +33,4 @@ def test_invalid_array_is_refused(value: np.ndarray, message: str) -> None:
 @pytest.mark.parametrize("share", [0.0, 1.1, np.nan])
 def test_invalid_outlier_share_is_refused(share: float) -> None:
     with pytest.raises(ValueError, match=rf"outlier_share must be in \(0, 1\], got {share}"):
-        check_outliers_and_threads(share, 1)
-
-
-@pytest.mark.parametrize("threads", [0, 257])
-def test_invalid_number_of_threads_is_refused(threads: int) -> None:
-    with pytest.raises(ValueError, match=f"threads must be 1 to 256, got {threads}"):
-        check_outliers_and_threads(0.1, threads)
+        check_outlier_share(share)

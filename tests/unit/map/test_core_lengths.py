@@ -19,11 +19,11 @@ IMAGES, FEWER = np.zeros((2, 8, 8, 4), np.uint16), np.zeros((2, 8, 7, 4), np.uin
 
 
 def weigh_by_index(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
-    core.MixtureIndex(*MIXTURE, 0.1, 1e-9, 1e-3).weigh(POSES, log_scales, SCAN, weights, 0.3, 100.0, 1)
+    core.MixtureIndex(*MIXTURE, 0.1, 1e-9, 1e-3).weigh(POSES, log_scales, SCAN, weights, 0.3, 100.0)
 
 
 def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
-    core.RayMixture(*MIXTURE).weigh(POSES, log_scales, SCAN, weights, 0.1, 0.3, 3.0, 1)
+    core.RayMixture(*MIXTURE).weigh(POSES, log_scales, SCAN, weights, 0.1, 0.3, 3.0)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from map_helpers import make_mixture, make_particles, nats_with_outliers
 from monoloc.map import numpy_twins
 from monoloc.map.mixture import GaussianMixture
 from monoloc_lab.bench.scenes import building
-from repository import REPOSITORY
 
 
 @pytest.mark.parametrize("with_weights", [False, True])
@@ -42,62 +39,6 @@ def test_weigh_equals_twin(particles: int, with_weights: bool) -> None:
     )
     np.testing.assert_allclose(native, twin, atol=0.01 * 40)  # 0.01 nat a point
     assert native.dtype == np.float64
-
-
-@pytest.mark.parametrize("threads", [2, 8])
-def test_result_does_not_depend_on_threads(threads: int) -> None:
-    rng = np.random.default_rng(0)
-    mixture = make_mixture(60)
-    poses, log_scales = make_particles(500, rng)
-    scan = mixture.sample(40, rng).astype(np.float32)
-    index = mixture.index()
-
-    def weighed(threads: int) -> np.ndarray:
-        return index.weigh(poses, log_scales, scan, outlier_share=0.2, volume_m3=50.0, threads=threads)
-
-    single = weighed(1)
-    for _ in range(10):
-        np.testing.assert_array_equal(weighed(threads), single)
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_forked_process_has_threads_of_its_own() -> None:
-    """The parent's do not exist after a fork: waiting for them would never end."""
-    script = """
-import os, sys
-import numpy as np
-from map_helpers import make_mixture, make_particles
-index = make_mixture(20).index()
-poses, log_scales = make_particles(300, np.random.default_rng(0))
-scan = np.zeros((5, 3), np.float32)
-def weighed():
-    return index.weigh(poses, log_scales, scan, outlier_share=0.2, volume_m3=50.0, threads=2)
-before = weighed()
-child = os.fork()
-if child == 0:
-    os._exit(0 if np.array_equal(weighed(), before) else 1)
-sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=REPOSITORY / "tests" / "support", timeout=60, check=False
-    )
-    assert done.returncode == 0
-
-
-def test_concurrent_callers_do_not_deadlock() -> None:
-    rng = np.random.default_rng(0)
-    mixture = make_mixture(40)
-    poses, log_scales = make_particles(300, rng)
-    scan = mixture.sample(30, rng).astype(np.float32)
-    index = mixture.index()
-
-    def weighed(threads: int) -> np.ndarray:
-        return index.weigh(poses, log_scales, scan, outlier_share=0.2, volume_m3=50.0, threads=threads)
-
-    with ThreadPoolExecutor(4) as pool:
-        results = list(pool.map(weighed, [1, 2, 3, 2] * 10))
-    for result in results:
-        np.testing.assert_array_equal(result, results[0])
 
 
 def test_evaluations_count_whole_blocks() -> None:

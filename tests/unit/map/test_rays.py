@@ -133,21 +133,6 @@ def test_particles_among_many_rooms_equal_the_twin(spread_m: float, spread_rad: 
     np.testing.assert_allclose(native, twin(building, poses, log_scales, scan, **noise), atol=1e-4 * len(scan))
 
 
-@pytest.mark.parametrize("spread", [(0.05, 0.02), (1.0, 2.0)])
-def test_result_does_not_depend_on_threads(spread: tuple[float, float]) -> None:
-    rng = np.random.default_rng(0)
-    rays = make_mixture(60).along_rays()
-    poses, log_scales = random_particles(500, rng, *spread)
-    scan = random_scan(30, rng)
-
-    def weighed(threads: int) -> FloatArray:
-        return rays.weigh(poses, log_scales, scan, log_depth_sd=0.06, outlier_share=0.3, threads=threads)
-
-    single = weighed(1)
-    for threads in (2, 8):
-        np.testing.assert_array_equal(weighed(threads), single)
-
-
 # --- The density of depth ---
 
 DEPTHS_M = np.exp(np.linspace(np.log(0.02), np.log(50.0), 4001))

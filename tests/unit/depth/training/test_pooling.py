@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -104,3 +107,25 @@ def test_pytorch_handles_what_the_kernel_cannot(dtype: torch.dtype) -> None:
     pooled = max_pool5(x)
     assert torch.equal(pooled, F.max_pool2d(x, 5, stride=1, padding=2))
     assert "MaxPool5" not in type(pooled.grad_fn).__name__
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_forked_process_has_threads_of_its_own() -> None:
+    """The parent's do not exist after a fork: waiting for them would never end."""
+    script = """
+import os, sys
+import numpy as np
+import monoloc._core as core
+values = np.random.default_rng(0).normal(size=(4, 9, 9, 8)).astype(np.float32)
+def pooled():
+    largest, came_from = np.empty_like(values), np.empty(values.shape, np.uint16)
+    core.max_pool(values, 2, largest, came_from)
+    return largest
+before = pooled()
+child = os.fork()
+if child == 0:
+    os._exit(0 if np.array_equal(pooled(), before) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], timeout=60, check=False)
+    assert done.returncode == 0
