@@ -12,7 +12,7 @@ import struct
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,7 +62,6 @@ class AutopilotLink:
 
     Args:
         url: ``udpout:HOST:PORT``, ``udpin:HOST:PORT``, ``tcp:HOST:PORT`` or ``serial:DEVICE:BAUD``.
-        on_sent: is given the bytes of every message and the time it was sent, for a recording.
         R_body_camera: turns the camera's axes into the body's, forward, right, down; (3, 3).
 
     Attributes:
@@ -74,16 +73,10 @@ class AutopilotLink:
         MissingExtraError: pymavlink is not installed.
     """
 
-    def __init__(
-        self,
-        url: str,
-        on_sent: Callable[[bytes, float], None] | None = None,
-        R_body_camera: ArrayLike = np.eye(3),
-    ) -> None:
+    def __init__(self, url: str, R_body_camera: ArrayLike = np.eye(3)) -> None:
         parse_address(url)  # a wrong address is refused with and without pymavlink
         require_mavlink()
         self.round_trip_s: float | None = None
-        self._on_sent = on_sent
         self._packing = threading.Lock()
         self._packer = dialect().MAVLink(None, srcSystem=1, srcComponent=COMPONENT)
         self._parser = _parser()
@@ -183,8 +176,6 @@ class AutopilotLink:
             data: bytes = message.pack(self._packer)
             self._packer.seq = (self._packer.seq + 1) % 256
             self._bytes.send(data, message.get_type() in _GOES_STALE)
-        if self._on_sent is not None:
-            self._on_sent(data, time.monotonic())
 
     def read_parameters(self, names: tuple[str, ...], timeout_s: float) -> dict[str, float]:
         """Ask for parameters, as many times as the timeout allows; those that did not come are missing."""
