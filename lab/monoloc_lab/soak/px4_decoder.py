@@ -1,7 +1,7 @@
 """What PX4 makes of the messages of a visual odometry: the rules of its receiver and of EKF2, written independently.
 
-Sources: ``mavlink_receiver.cpp`` (handle_message_odometry, handle_message_vision_position_estimate,
-handle_message_obstacle_distance), ``EKF2.cpp`` (UpdateExtVisionSample) and ``CollisionPrevention.cpp`` of PX4.
+Sources: ``mavlink_receiver.cpp`` (handle_message_odometry, handle_message_vision_position_estimate) and ``EKF2.cpp``
+(UpdateExtVisionSample) of PX4.
 """
 
 from __future__ import annotations
@@ -61,22 +61,6 @@ class Px4:
         return Sample(
             position, _rotation(w, x, y, z), noise, yaw, message.reset_counter, message.quality, message.time_usec
         )
-
-    @staticmethod
-    def nearest_obstacle(message: Any) -> dict[int, float]:
-        """Distance, metres, of each 5-degree bin clockwise from forward that has data; free bins are infinite."""
-        if message.frame != 12:
-            raise Refused(f"frame {message.frame}")
-        increment = message.increment_f if message.increment_f > 0 else float(message.increment)
-        bins: dict[int, float] = {}
-        for index, value in enumerate(message.distances):
-            if value == 65535:
-                continue
-            bearing = (message.angle_offset + index * increment) % 360.0
-            free = value > message.max_distance
-            if free or value >= message.min_distance:
-                bins[round(bearing / 5.0) % 72] = math.inf if free else value / 100.0
-        return bins
 
 
 def _rotation(w: float, x: float, y: float, z: float) -> np.ndarray:

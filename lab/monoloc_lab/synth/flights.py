@@ -87,10 +87,6 @@ class Flight:
         """``T_world_camera`` of the camera frames, (N, 4, 4)."""
         return self.body_poses(self.times_s) @ self.T_body_camera
 
-    def tilt_rad(self, times_s: FloatArray) -> FloatArray:
-        """Angle of the thrust to the vertical, (N,)."""
-        return np.asarray(np.arccos(np.clip(self.body_poses(times_s)[:, 2, 2], -1.0, 1.0)))
-
 
 def plan_flight(room: Room, config: FlightConfig, seed: int) -> Flight:
     """Plan a flight through random free positions of a room; the same seed gives the same flight.

@@ -75,17 +75,6 @@ def truth_where_predicted(predicted_m: ArrayLike, truth_m: ArrayLike) -> NDArray
     return np.where(_has_truth(truth) & (np.asarray(predicted_m) > 0.0), truth, 0.0)
 
 
-def fit_scale(predicted_m: ArrayLike, truth_m: ArrayLike) -> float:
-    """Factor that brings a prediction to the truth's scale: exp of the median log ratio.
-
-    Multiply the prediction by it before :func:`depth_metrics` to evaluate shape independently of scale.
-
-    Args and Raises: as :func:`depth_metrics`.
-    """
-    predicted, truth, valid = _checked_pair(predicted_m, truth_m)
-    return float(np.exp(np.median(np.log(truth[valid]) - np.log(predicted[valid]))))
-
-
 def depth_ssim(predicted_m: ArrayLike, truth_m: ArrayLike, valid: ArrayLike, data_range_m: float) -> float | None:
     """Structural similarity (Wang et al. 2004) of two depth images, with a Gaussian window of 11 pixels, sigma 1.5.
 

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 
-from monoloc.evaluation.depth_metrics import DepthAccumulator, depth_metrics, depth_ssim, fit_scale
+from monoloc.evaluation.depth_metrics import DepthAccumulator, depth_metrics, depth_ssim
 from monoloc.geometry import FloatArray
-
-seeds = st.integers(0, 2**32 - 1)
 
 
 @pytest.fixture
@@ -46,17 +41,6 @@ class TestDepthMetrics:
         assert (metrics.delta1, metrics.delta2, metrics.delta3) == (1.0, 1.0, 1.0)
         assert metrics.ssim == pytest.approx(1.0)
 
-    @given(seed=seeds, scale=st.floats(0.1, 10.0))
-    @settings(max_examples=20, deadline=None)
-    def test_fitted_scale_undoes_a_scale(self, seed: int, scale: float) -> None:
-        predicted, truth = depth_pair(np.random.default_rng(seed))
-        assert fit_scale(scale * truth, truth) == pytest.approx(1.0 / scale)
-        fitted = fit_scale(scale * predicted, truth) * scale * predicted
-        assert depth_metrics(fitted, truth).absrel == pytest.approx(
-            depth_metrics(fit_scale(predicted, truth) * predicted, truth).absrel
-        )
-
-    @pytest.mark.parametrize("measure", [depth_metrics, fit_scale])
     @pytest.mark.parametrize(
         ("predicted", "truth", "message"),
         [
@@ -67,11 +51,9 @@ class TestDepthMetrics:
             (np.full((2, 2), np.nan), np.ones((2, 2)), "predicted must be finite and positive"),
         ],
     )
-    def test_invalid_images_are_refused(
-        self, measure: Callable[..., object], predicted: FloatArray, truth: FloatArray, message: str
-    ) -> None:
+    def test_invalid_images_are_refused(self, predicted: FloatArray, truth: FloatArray, message: str) -> None:
         with pytest.raises(ValueError, match=message):
-            measure(predicted, truth)
+            depth_metrics(predicted, truth)
 
 
 class TestSsim:
