@@ -12,6 +12,8 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.odometry.motion import Motion
 
 _LEAST_WEIGHT, _MOST_WEIGHT = 0.25, 4.0  # so that no point dominates and none is wasted
+# Farther points are not used: outliers of the ray likelihood have depths of 0.15 m to 8 m.
+_MAX_DEPTH_M = 8.0
 _ENOUGH_CORNERS = 80  # their errors are correlated: they count as twenty by default
 
 
@@ -36,7 +38,7 @@ def scan_from_depth(
     count: int,
     rng: np.random.Generator,
     error_power: float = 0.0,
-    max_depth_m: float = 8.0,
+    max_depth_m: float = _MAX_DEPTH_M,
     depth_jump: float = 0.15,
 ) -> Scan:
     """A scan of points spread evenly over the usable pixels.
@@ -67,13 +69,13 @@ def scan_from_depth(
     return Scan(points, _weights(depth.log_error.ravel()[candidates], error_power))
 
 
-def scan_from_corners(motion: Motion, max_log_depth_sd: float, max_depth_m: float = 8.0) -> Scan:
+def scan_from_corners(motion: Motion, max_log_depth_sd: float) -> Scan:
     """Tracked corners in front of the camera whose log-depth has a standard deviation below ``max_log_depth_sd``.
 
-    Every n-th of them if there are many, so that 60 to 120 remain.
+    Up to 8 m away, and every n-th of them if there are many, so that 60 to 120 remain.
     """
     z = motion.points[:, 2]
-    chosen = np.flatnonzero((motion.log_depth_sd < max_log_depth_sd) & (z > 0.0) & (z <= max_depth_m))
+    chosen = np.flatnonzero((motion.log_depth_sd < max_log_depth_sd) & (z > 0.0) & (z <= _MAX_DEPTH_M))
     chosen = chosen[:: max(1, round(len(chosen) / _ENOUGH_CORNERS))]
     return uniform_scan(np.asarray(motion.points[chosen], dtype=np.float32))
 

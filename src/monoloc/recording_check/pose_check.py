@@ -99,24 +99,27 @@ class PoseCheck:
         return "check the poses' convention, their times, the depth's scale and the intrinsics"
 
 
-def check_poses(recording: Recording, cloud: FloatArray | None = None, pairs: int = PAIRS) -> PoseCheck:
+def check_poses(recording: Recording, pairs: int = PAIRS) -> PoseCheck:
     """Compare a recording's poses with its images and depth.
 
     Args:
         recording: with poses.
-        cloud: (N, 3) of the room, world frame, metres, which gives depth where the recording has none.
         pairs: most pairs of frames that are compared.
 
     Raises:
         DataError: a frame cannot be read.
     """
-    return compare_poses(recording, cloud, pairs)[0]
+    return compare_poses(recording, None, pairs)[0]
 
 
 def compare_poses(
     recording: Recording, cloud: FloatArray | None, pairs: int = PAIRS
 ) -> tuple[PoseCheck, Evidence | None]:
-    """As :func:`check_poses`, with the corners that were compared; None where there is no depth to do so."""
+    """As :func:`check_poses`, with the corners that were compared; None where there is no depth to do so.
+
+    Args:
+        cloud: (N, 3) of the room, world frame, metres, which gives depth where the recording has none.
+    """
     if recording.poses is None or not (recording.has_depth or cloud is not None):
         return PoseCheck("unknown", 0, 0), None
     evidence = gather_evidence(recording, cloud, pairs)

@@ -103,7 +103,7 @@ def test_corners_are_taken_whose_depth_parallax_has_refined() -> None:
         [[0.1, 0.2, 2.0], [0.3, 0.1, 3.0], [0.5, 0.0, 9.0], [0.0, 0.0, 4.0], [0.1, 0.0, -2.0], [0.1, 0, 0]]
     )
     motion = Motion(np.eye(4), 6, points, np.array([0.02, 0.3, 0.02, 0.05, 0.02, 0.02]))
-    scan = scan_from_corners(motion, max_log_depth_sd=0.1, max_depth_m=8.0)
+    scan = scan_from_corners(motion, max_log_depth_sd=0.1)
     assert scan.points.dtype == np.float32
     assert np.allclose(scan.points, points[[0, 3]])
     assert len(scan_from_corners(motion, max_log_depth_sd=0.01)) == 0

@@ -19,7 +19,7 @@ from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording
 from monoloc.recording_check.correspondences import Matches, match_corners
 from monoloc.recording_check.inspection import inspect_recording
-from monoloc.recording_check.pose_check import check_poses, require_agreement
+from monoloc.recording_check.pose_check import check_poses, compare_poses, require_agreement
 from monoloc_lab.rooms import BUILD, TESTS
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -145,10 +145,10 @@ def test_noisy_poses_give_a_warning_and_unrelated_poses_are_refused(room: tuple[
 def test_poses_with_a_cloud_in_place_of_depth(room: tuple[Recording, Matches]) -> None:
     recording, _ = room
     cloud = Room().cloud(0.04)
-    assert check_poses(Altered(recording, has_depth=False), cloud).verdict == "agree"
+    assert compare_poses(Altered(recording, has_depth=False), cloud)[0].verdict == "agree"
     assert recording.poses is not None
     wrong = Altered(recording, poses=POSES["OpenGL"].poses(recording.poses), has_depth=False)
-    assert refusal(check_poses(wrong, cloud)).endswith("; give --fix-poses opengl")
+    assert refusal(compare_poses(wrong, cloud)[0]).endswith("; give --fix-poses opengl")
 
 
 def test_poses_that_see_nothing_of_the_cloud_are_named(room: tuple[Recording, Matches]) -> None:
