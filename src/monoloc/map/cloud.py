@@ -19,6 +19,8 @@ IntArray = NDArray[np.int64]
 # neither ("flying pixels"). Within one surface, such a step occurs only at viewing angles below 2 degrees.
 DISCONTINUITY = 0.05
 _CELL_VOXELS, _MIN_CELL_M = 5.0 / 3.0, 0.05  # size of the cells that count neighbours
+_STRIDE = 4  # from one used pixel to the next: of a Kinect's depth, at 4 m, these are 3 cm apart, a voxel
+_LEAST_NEIGHBOURS = 5  # a plane has about 25, so its edges stay
 _KEY_BITS = 21  # voxel coordinates along one axis: +-2^20 voxels
 _MERGE_AT = 2_000_000  # pending voxels that trigger a merge
 
@@ -27,13 +29,12 @@ def cloud_from_recording(
     recording: Recording,
     voxel_m: float = 0.03,
     max_depth_m: float = 4.0,
-    stride: int = 4,
     progress: Callable[[int, int], None] | None = None,
 ) -> FloatArray:
     """Build the thinned cloud of a recording: (N, 3) float64, world frame, metres.
 
-    Every ``stride``-th pixel in both directions is back-projected and averaged in voxels, except at depth
-    discontinuities and beyond ``max_depth_m``. The weights are ``z ** -4``, because the standard deviation of
+    Every fourth pixel in both directions is back-projected and averaged in voxels, except at depth discontinuities
+    and beyond ``max_depth_m``. The weights are ``z ** -4``, because the standard deviation of
     structured-light and stereo depth grows with the square of depth (Khoshelham and Elberink 2012). Memory grows with
     the number of occupied voxels, not with the number of frames.
 
@@ -41,29 +42,26 @@ def cloud_from_recording(
         recording: frames with depth and poses.
         voxel_m: edge of the voxels; the cloud has one point per occupied voxel.
         max_depth_m: largest depth that is used.
-        stride: distance between used pixels, 1 for all.
         progress: called with (completed frames, total frames).
 
     Raises:
         DataError: the recording has no poses, no depth, or no usable pixel.
-        SettingError: ``stride`` is below 1, or a size is not positive.
+        SettingError: a size is not positive.
     """
-    if stride < 1:
-        raise SettingError("stride", f"is {stride}", "give 1 or more pixels")
     if not max_depth_m > 0.0:
         raise SettingError("max_depth_m", f"is {max_depth_m}", "give a positive depth in metres")
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "give a recording with poses, or a cloud file")
     if not recording.has_depth:
         raise DataError(recording.name, "has no depth", "give a recording with depth, or a cloud (--cloud)")
-    rays = recording.camera.pixel_rays()[::stride, ::stride]
+    rays = recording.camera.pixel_rays()[::_STRIDE, ::_STRIDE]
     thinner = VoxelThinner(voxel_m)
     for index, T_world_camera in enumerate(recording.poses):
         depth = recording.depth(index).astype(np.float64)
         usable = ((depth > 0.0) & (depth <= max_depth_m) & ~at_discontinuity(depth, DISCONTINUITY))[
-            ::stride, ::stride
+            ::_STRIDE, ::_STRIDE
         ]
-        z = depth[::stride, ::stride][usable]
+        z = depth[::_STRIDE, ::_STRIDE][usable]
         thinner.add(transform(T_world_camera, z[:, None] * rays[usable]), z**-4)
         if progress is not None:
             progress(index + 1, len(recording))
@@ -90,8 +88,8 @@ def voxel_thin(points: ArrayLike, voxel_m: float) -> FloatArray:
     return thinner.points()
 
 
-def remove_outliers(points: ArrayLike, voxel_m: float = 0.03, neighbours: int = 5) -> FloatArray:
-    """Keep points with at least ``neighbours`` others in the surrounding 27 cells: (N, 3) m -> (M, 3) m.
+def remove_outliers(points: ArrayLike, voxel_m: float = 0.03) -> FloatArray:
+    """Keep points with at least five others in the surrounding 27 cells: (N, 3) m -> (M, 3) m.
 
     The cell size is 5/3 of ``voxel_m``, the voxel size of the thinned cloud, so that a plane has about 25 points in
     the 27 cells at any size. It is at least 5 cm, because clouds from other sources may be sparser.
@@ -108,7 +106,7 @@ def remove_outliers(points: ArrayLike, voxel_m: float = 0.03, neighbours: int = 
     for step in (_pack(np.array([x, y, z])) for x in steps for y in steps for z in steps):
         found = np.minimum(np.searchsorted(cells, cells + step), max(len(cells) - 1, 0))
         around += np.where(cells[found] == cells + step, counts[found], 0)
-    return np.asarray(cloud[around[cell_of_point] > neighbours])
+    return np.asarray(cloud[around[cell_of_point] > _LEAST_NEIGHBOURS])
 
 
 class VoxelThinner:

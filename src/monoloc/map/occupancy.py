@@ -21,9 +21,7 @@ FREE: Final = 1
 OCCUPIED: Final = 2
 """States of a voxel."""
 
-SEEN_M = 4.0
-"""Distance up to which a build's cameras are taken to see."""
-
+_SEEN_M = 4.0  # how far a build's cameras are taken to see; builds use depth up to 4.5 m
 _COVERED = 0.25  # share of a covered surface's mass from which a voxel is occupied
 _MOST_VOXELS, _COARSER, _MOST_VOXEL_M = 1 << 25, 1.1, 2.0
 _MOST_VIEWS, _VIEW_PX = 200, (32, 24)  # of the cameras that built the map
@@ -74,24 +72,23 @@ class VoxelGrid:
         is_hit = self.at(origin + ways_m[:, None, None] * directions) == OCCUPIED
         return np.where(is_hit.any(axis=0), ways_m[is_hit.argmax(axis=0)], np.inf)
 
-    def with_free_space(self, poses: FloatArray, camera: Camera, most_m: float = SEEN_M) -> VoxelGrid:
+    def with_free_space(self, poses: FloatArray, camera: Camera) -> VoxelGrid:
         """The grid with the space free that cameras saw through: up to a voxel before the first occupied one.
 
-        What is before no surface stays unknown, since nothing says how far a ray went there.
+        What is before no surface within 4 m stays unknown, since nothing says how far a ray went there.
 
         Args:
             poses: ``T_grid_camera``, (V, 4, 4); some of many are used.
             camera: of all of them.
-            most_m: how far they saw.
         """
         if len(poses) == 0:
             return self
-        states, ways_m = self.states.copy(), self._ways_m(most_m)
+        states, ways_m = self.states.copy(), self._ways_m(_SEEN_M)
         rays = camera.resized(*_VIEW_PX).pixel_rays().reshape(-1, 3)
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         for pose in poses[evenly_spaced(len(poses), _MOST_VIEWS)]:
             directions = rays @ pose[:3, :3].T
-            reach_m = self.distances_m(pose[:3, 3], directions, most_m)
+            reach_m = self.distances_m(pose[:3, 3], directions, _SEEN_M)
             is_seen = np.isfinite(reach_m) & (ways_m[:, None] < reach_m - self.voxel_m)
             points = (pose[:3, 3] + ways_m[:, None, None] * directions)[is_seen]
             cells = np.floor(points / self.voxel_m).astype(np.int64) - self.first

@@ -53,9 +53,7 @@ POSES = se3_exp(np.random.default_rng(0).normal(size=(5, 6)) * np.array([0.2, 0.
 
 def test_cloud_lies_on_the_walls() -> None:
     done: list[tuple[int, int]] = []
-    cloud = cloud_from_recording(
-        BoxRecording(POSES), voxel_m=0.05, stride=2, progress=lambda i, n: done.append((i, n))
-    )
+    cloud = cloud_from_recording(BoxRecording(POSES), voxel_m=0.05, progress=lambda i, n: done.append((i, n)))
     distance = np.abs(np.abs(cloud) / np.array([1.0, 1.0, 1.5]) - 1.0).min(axis=1)
     assert len(cloud) > 500
     # Voxels at an edge average two walls; all others are exact.
@@ -81,8 +79,6 @@ def test_cloud_needs_poses_and_depth() -> None:
         cloud_from_recording(without_depth)
     with pytest.raises(DataError, match=r"box: has no depth between 0 and 0\.01 m"):
         cloud_from_recording(BoxRecording(POSES), max_depth_m=0.01)
-    with pytest.raises(SettingError, match="stride: is 0"):
-        cloud_from_recording(BoxRecording(POSES), stride=0)
     with pytest.raises(SettingError, match="max_depth_m: is 0"):
         cloud_from_recording(BoxRecording(POSES), max_depth_m=0.0)
 
