@@ -12,7 +12,7 @@ from monoloc.adapt.map_transform import AdaptedMap
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views, make_views
 from monoloc.adapt.tuning import Adaptation
-from monoloc.map.em import fit_mixture
+from monoloc.map.em import FLOOR_M, initial_mixture, maximise_likelihood
 from monoloc.map.mixture import GaussianMixture
 from synthetic_room import RoomRecording
 
@@ -32,7 +32,8 @@ def generator(seed: int = 0) -> torch.Generator:
 def room_map(spacing_m: float = 0.2, components: int = 30) -> RoomMap:
     """A mixture at EM's fixed point, and its cloud."""
     cloud = ROOM.cloud(spacing_m)
-    fit = fit_mixture(cloud, components, np.random.default_rng(0), max_iterations=500, tolerance=1e-7)
+    start = initial_mixture(cloud, components, np.random.default_rng(0), FLOOR_M)
+    fit = maximise_likelihood(cloud, start, max_iterations=500, tolerance=1e-7)
     return fit.mixture, cloud
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from monoloc.adapt.objective import UPPER
+from monoloc.map.em import FLOOR_M
 from monoloc.map.learnt_transform import HIDDEN, LearntTransform
 from monoloc.map.mixture import GaussianMixture
 
@@ -87,13 +88,12 @@ class AdaptedMap(nn.Module):
     Each point keeps its responsibilities gamma_ni under the original mixture, so component i of M_A corresponds to
     component i of M. Its mean and covariance are the gamma-weighted moments of the transformed points; mixing
     proportions do not change. Moments are computed in float64: in float32, subtracting the squared mean from the
-    second moment cancels the covariance.
+    second moment cancels the covariance. The square of the map fit's floor, 1 cm, is added to every variance, which
+    keeps covariances positive definite; the fit clamps variances at it instead, but clamping is not differentiable.
 
     Args:
         mixture: the original map M.
         cloud: (N, 3) float64 points that M was fitted to, metres, world frame.
-        floor_m: its square is added to every variance to keep covariances positive definite. The map fit clamps
-            variances at it instead, but clamping is not differentiable.
 
     Attributes:
         volume_m3: of the original map, see :attr:`monoloc.map.mixture.GaussianMixture.volume_m3`.
@@ -104,7 +104,7 @@ class AdaptedMap(nn.Module):
     means: Tensor
     covariances: Tensor
 
-    def __init__(self, mixture: GaussianMixture, cloud: NDArray[np.float64], floor_m: float = 0.01) -> None:
+    def __init__(self, mixture: GaussianMixture, cloud: NDArray[np.float64]) -> None:
         super().__init__()
         neighbours = min(_NEIGHBOURS, len(mixture.weights))
         blocks = np.array_split(cloud, max(1, len(cloud) // _BLOCK))  # the full (N, K) matrix would not fit in memory
@@ -127,7 +127,7 @@ class AdaptedMap(nn.Module):
         self._cell_of = cell_of
         self._cells = torch.zeros((len(counts), 3), dtype=torch.float64).index_add(0, cell_of, points) / counts
         self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
-        self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
+        self._floor = FLOOR_M**2 * torch.eye(3, dtype=torch.float64)
         self.volume_m3 = mixture.volume_m3
         # Recompute M with the same sums, so that the identity has zero KL; it differs from M by EM's last step and
         # the floor.

@@ -7,6 +7,8 @@ import math
 import torch
 from torch import Tensor
 
+from monoloc.map.rays import LOG_DEPTH_RANGE
+
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """(row, column) of the upper-triangular entries of a symmetric 3 x 3 matrix."""
 
@@ -51,7 +53,6 @@ def ray_log_likelihood(
     means: Tensor,
     covariances: Tensor,
     outlier_share: float,
-    log_depth_range: float = 4.0,
 ) -> Tensor:
     """Log-density of log-depth, conditional on the pixel's ray, (P,) nats.
 
@@ -62,13 +63,15 @@ def ray_log_likelihood(
 
         p(log d | o, r) = (1 - eps) d M(o + d r) / int_0^inf M(o + t r) dt + eps / range
 
+    The range of the outliers' uniform density in log-depth is that of the localizer's likelihood,
+    :data:`monoloc.map.rays.LOG_DEPTH_RANGE`.
+
     Args:
         log_depth: (P,) natural logarithm of depth along z.
         rays_world: (P, 3) ray directions r with camera z = 1, world frame.
         origins: (P, 3) camera centres o, world frame, metres.
         log_weights, means, covariances: the mixture, (K,), (K, 3), (K, 3, 3).
         outlier_share: eps, between 0 and 1.
-        log_depth_range: width of the outliers' uniform density in log-depth; 4 spans 0.15 m to 8 m.
     """
     lower = torch.linalg.cholesky(covariances)
     information = torch.cholesky_inverse(lower)
@@ -86,7 +89,7 @@ def ray_log_likelihood(
     in_front = torch.special.log_ndtr(best_depth * a.sqrt())
     log_normaliser = torch.logsumexp(log_peak + log_width + in_front, dim=1)
     inlier = math.log1p(-outlier_share) + log_joint + log_depth - log_normaliser
-    outlier = torch.full_like(inlier, math.log(outlier_share / log_depth_range))
+    outlier = torch.full_like(inlier, math.log(outlier_share / LOG_DEPTH_RANGE))
     return torch.logaddexp(inlier, outlier)
 
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle, CloudSize
 from monoloc.geometry import FloatArray
-from monoloc.map.em import clamp_covariances
+from monoloc.map.em import FLOOR_M, clamp_covariances
 from monoloc.map.learnt_transform import LearntTransform
-from monoloc.map.local_fit import FLOOR_M, Components, estimated_points
+from monoloc.map.local_fit import Components, estimated_points
 
 _VOXEL_M = 0.03  # of builds that did not note theirs: the default
 

@@ -13,11 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, transform
-from monoloc.map.em import fit_mixture, maximise_likelihood
+from monoloc.map.em import FLOOR_M, fit_mixture, maximise_likelihood
 from monoloc.map.mixture import GaussianMixture
-
-FLOOR_M = 0.01
-"""Smallest standard deviation of a component, as in a build."""
 
 _REACH = 4.0  # standard deviations beyond which a component does not reach a region
 _DRAWN = 400  # points a component that may cross the border: shares are known to 2.5 %
@@ -134,7 +131,7 @@ def fitted(points: FloatArray, mass: float, components: float, rng: np.random.Ge
     if len(points) == 0:
         return Components.none()
     count = int(np.clip(round(components), 1, len(points)))
-    return Components.of(fit_mixture(points, count, rng, FLOOR_M).mixture, mass)
+    return Components.of(fit_mixture(points, count, rng).mixture, mass)
 
 
 def estimated_points(mixture: GaussianMixture, voxel_m: float) -> int:
@@ -184,7 +181,7 @@ def _refitted(mass: FloatArray, drawn: FloatArray, side: NDArray[np.bool_]) -> C
     kept = side & starts[:, None]
     others = side & ~starts[:, None]
     kept[others] = _covers(start, drawn[others])
-    result = maximise_likelihood(drawn[kept], start.mixture(), FLOOR_M).mixture
+    result = maximise_likelihood(drawn[kept], start.mixture()).mixture
     return Components.of(result, float(mass @ (share * kept.sum(axis=1) / np.maximum(side.sum(axis=1), 1))))
 
 

@@ -75,7 +75,7 @@ def test_transform_does_not_depend_on_global_random_state() -> None:
 
 def test_identity_gives_the_fitted_mixture(mapped_room: RoomMap) -> None:
     mixture, cloud = mapped_room
-    adapted = AdaptedMap(mixture, cloud, floor_m=0.01)
+    adapted = AdaptedMap(mixture, cloud)
     assert kl_of(adapted) == pytest.approx(0.0, abs=1e-9)
     for ours in (adapted.original_mixture(), adapted.adapted_mixture()):
         np.testing.assert_allclose(ours.weights, mixture.weights, rtol=1e-9)
@@ -92,7 +92,7 @@ def test_moments_are_weighted_by_the_original_responsibilities() -> None:
     mixture = make_mixture(6)
     cloud = mixture.sample(300, np.random.default_rng(0)) + np.array([40.0, -30.0, 5.0])  # far from the origin
     mixture = GaussianMixture(mixture.weights, mixture.means + np.array([40.0, -30.0, 5.0]), mixture.covariances)
-    adapted = AdaptedMap(mixture, cloud, floor_m=0.02)
+    adapted = AdaptedMap(mixture, cloud)
     bend(adapted, 0.05)
     with torch.no_grad():
         means, covariances = adapted()
@@ -104,7 +104,7 @@ def test_moments_are_weighted_by_the_original_responsibilities() -> None:
     np.testing.assert_allclose(means.numpy(), expected, atol=1e-9)
     for k in range(6):
         offsets = bent - expected[k]
-        covariance = (gamma[:, k, None] * offsets).T @ offsets + 0.02**2 * np.eye(3)
+        covariance = (gamma[:, k, None] * offsets).T @ offsets + 0.01**2 * np.eye(3)
         np.testing.assert_allclose(covariances[k].numpy(), covariance, atol=1e-9)
 
 
@@ -115,7 +115,7 @@ def test_moments_have_the_correct_gradient() -> None:
 
 
 def test_affine_transform_maps_means_and_covariances(mapped_room: RoomMap, monkeypatch: pytest.MonkeyPatch) -> None:
-    adapted = AdaptedMap(*mapped_room, floor_m=0.01)
+    adapted = AdaptedMap(*mapped_room)
     A = torch.eye(3).double() + 0.2 * torch.randn(3, 3, generator=generator(), dtype=torch.float64)
     t = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
     monkeypatch.setattr(adapted.transform, "forward", lambda points: points @ A.T + t)

@@ -11,6 +11,7 @@ from sklearn.mixture import GaussianMixture as SklearnMixture
 from map_helpers import make_mixture
 from monoloc.errors import SettingError
 from monoloc.map.em import (
+    FLOOR_M,
     choose_components,
     clamp_covariances,
     fit_mixture,
@@ -29,7 +30,8 @@ def never_decreases(history: list[float]) -> bool:
 def test_likelihood_never_decreases(seed: int, components: int, floor_m: float) -> None:
     rng = np.random.default_rng(seed)
     points = make_mixture(10, seed).sample(300, rng)
-    result = fit_mixture(points, components, rng, floor_m, max_iterations=30, tolerance=1e-9)
+    start = initial_mixture(points, components, rng, floor_m)
+    result = maximise_likelihood(points, start, floor_m, max_iterations=30, tolerance=1e-9)
     assert never_decreases(result.log_likelihood_history)
     assert result.log_likelihood_history[-1] == pytest.approx(result.mixture.log_density(points).sum())
     assert np.linalg.eigvalsh(result.mixture.covariances).min() >= floor_m**2 * (1.0 - 1e-9)
@@ -94,9 +96,9 @@ def test_moved_component_that_lowers_the_likelihood_is_restored() -> None:
 
 def test_duplicate_points_and_as_many_components_as_points() -> None:
     rng = np.random.default_rng(0)
-    same = fit_mixture(np.ones((20, 3)), 5, rng, floor_m=0.02).mixture
+    same = fit_mixture(np.ones((20, 3)), 5, rng).mixture
     np.testing.assert_allclose(same.means, 1.0)
-    np.testing.assert_allclose(np.linalg.eigvalsh(same.covariances), 0.02**2)
+    np.testing.assert_allclose(np.linalg.eigvalsh(same.covariances), FLOOR_M**2)
     assert len(fit_mixture(rng.normal(size=(6, 3)), 6, rng).mixture) == 6
 
 
@@ -133,7 +135,7 @@ def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(SettingError, match=r"components: candidates \(25, 50\) exceed a cloud of 10 points"):
         choose_components(points, (25, 50), rng)
     with pytest.raises(SettingError, match="floor_m: is 0"):
-        fit_mixture(points, 2, rng, floor_m=0.0)
+        maximise_likelihood(points, make_mixture(2), floor_m=0.0)
     with pytest.raises(ValueError, match=r"points must have shape \(N, 3\), got \(10, 2\)"):
         fit_mixture(points[:, :2], 2, rng)
     with pytest.raises(ValueError, match="points must be finite"):
