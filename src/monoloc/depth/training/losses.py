@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+_GRADIENT_STEPS = (1, 2, 4, 8)  # pixels; fine ones for edges, coarse ones for planes
 _NORMAL_STEP = 8  # pixels; sensor depth is too coarse for normals from adjacent pixels
 
 
@@ -54,16 +55,14 @@ def scale_invariant_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor
     return masked_mean(variance.clamp(min=1e-6).sqrt(), known)
 
 
-def gradient_loss(
-    log_predicted: Tensor, log_truth: Tensor, valid: Tensor, steps: tuple[int, ...] = (1, 2, 4, 8)
-) -> Tensor:
-    """Mean absolute difference of log-depth gradients over several pixel steps (Li & Snavely, MegaDepth, 2018).
+def gradient_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor) -> Tensor:
+    """Mean absolute difference of log-depth gradients over 1, 2, 4 and 8 pixels (Li & Snavely, MegaDepth, 2018).
 
     It favours sharp depth edges and smooth planes, where the plain error tolerates blur.
     """
     # Unknown truth may be NaN, which multiplication by a mask would not remove.
     error = torch.where(valid, log_predicted - log_truth, 0.0)
-    loss: Tensor = _GradientLoss.apply(error, valid, steps)  # type: ignore[no-untyped-call]
+    loss: Tensor = _GradientLoss.apply(error, valid)  # type: ignore[no-untyped-call]
     return loss
 
 
@@ -71,9 +70,9 @@ class _GradientLoss(torch.autograd.Function):
     """The gradient is the sum of the differences' signs; computed in place, it takes a third of autograd's time."""
 
     @staticmethod
-    def forward(ctx: Any, error: Tensor, valid: Tensor, steps: tuple[int, ...]) -> Tensor:
+    def forward(ctx: Any, error: Tensor, valid: Tensor) -> Tensor:
         mask, gradient, total = valid.to(error.dtype), torch.zeros_like(error), error.new_zeros(())
-        for step in steps:
+        for step in _GRADIENT_STEPS:
             for along in (-1, -2):
                 length = error.shape[along] - step
                 if length <= 0:
@@ -81,7 +80,7 @@ class _GradientLoss(torch.autograd.Function):
                 near, far = ((along, at, length) for at in (0, step))
                 known = mask.narrow(*near) * mask.narrow(*far)
                 difference = (error.narrow(*far) - error.narrow(*near)).mul_(known)
-                share = 1.0 / (len(steps) * known.sum().clamp(min=1.0))
+                share = 1.0 / (len(_GRADIENT_STEPS) * known.sum().clamp(min=1.0))
                 total += share * difference.abs().sum()
                 difference.sign_().mul_(share)
                 gradient.narrow(*far).add_(difference)
@@ -91,9 +90,9 @@ class _GradientLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, loss_gradient: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, loss_gradient: Tensor) -> tuple[Tensor, None]:
         (gradient,) = ctx.saved_tensors
-        return loss_gradient * gradient, None, None
+        return loss_gradient * gradient, None
 
 
 def normal_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor, focal_px: float) -> Tensor:

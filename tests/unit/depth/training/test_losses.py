@@ -64,13 +64,13 @@ def test_gradient_loss_of_a_ramp() -> None:
     expected = 0.1 * (1 + 2 + 4 + 8) / 4
     assert float(gradient_loss(ramp, zero, valid)) == pytest.approx(expected, rel=1e-5)
     assert float(gradient_loss(ramp.mT, zero, valid)) == pytest.approx(expected, rel=1e-5)
-    assert float(gradient_loss(ramp, zero, valid, steps=(2,))) == pytest.approx(0.2, rel=1e-5)
 
 
-@pytest.mark.parametrize("steps", [(1, 2, 4, 8), (3,), (12, 20)])
-def test_gradient_loss_and_its_gradient_are_those_of_the_formula(steps: tuple[int, ...]) -> None:
-    """Also where there are fewer rows than a step, and where the truth is NaN."""
-    predicted, truth, valid = random_batch()
+@pytest.mark.parametrize("rows", [12, 8, 3])
+def test_gradient_loss_and_its_gradient_are_those_of_the_formula(rows: int) -> None:
+    """Also where there are no more rows than a step, and where the truth is NaN."""
+    predicted, truth, valid = (each[:, :, :rows] for each in random_batch())
+    steps = (1, 2, 4, 8)
     truth = torch.where(valid, truth, torch.nan)
 
     def plain(x: Tensor) -> Tensor:
@@ -83,7 +83,7 @@ def test_gradient_loss_and_its_gradient_are_those_of_the_formula(steps: tuple[in
         return total / len(steps)
 
     ours, theirs = (predicted.clone().requires_grad_(True) for _ in range(2))
-    loss, expected = 3.0 * gradient_loss(ours, truth, valid, steps), 3.0 * plain(theirs)
+    loss, expected = 3.0 * gradient_loss(ours, truth, valid), 3.0 * plain(theirs)
     loss.backward()
     expected.backward()
     assert loss.item() > 0.0
