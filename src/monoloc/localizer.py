@@ -121,7 +121,7 @@ class Localizer:
         self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd, has_build_focal)
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
-        self._index, self._is_followed = 0, False
+        self._index, self._is_tracking = 0, False
         self._has_landmark_pose = False  # near the belief, when landmarks were last measured
         self._scan_age_s = math.inf  # since a scan was last weighed
         self._held: tuple[IntegrityMonitor, Mode] | None = None  # at the last image, while others repeat it
@@ -199,9 +199,9 @@ class Localizer:
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, previous)
         self._index += 1
-        self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
+        self._is_tracking = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
         # No level leaves out a search, nor what a start that may be rough takes.
-        is_usual = self._is_followed and not relocalization.is_searched and not self._tracker.fusion.restarted
+        is_usual = self._is_tracking and not relocalization.is_searched and not self._tracker.fusion.restarted
         if self._budget is not None and is_usual and not observation.is_first:
             # Their number changes after the weighing, so a step weighs as many as the one before left.
             self._budget.end(replace(plan, particles=len(relocalization.particles)))
@@ -229,7 +229,7 @@ class Localizer:
         if level is None:
             level = Level.FULL if self._budget is None else self._budget.level
         config = self._config
-        return level, plan_of(level, self._index, config.particles, config.scan_points, self._is_followed)
+        return level, plan_of(level, self._index, config.particles, config.scan_points, self._is_tracking)
 
     def _predict(self, observation: Observation) -> Particles:
         # The motion of an image that is shown twice comes with the next one.
