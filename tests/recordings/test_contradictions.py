@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from altered_recordings import POSES, Altered, Image, judged, range_of, refusal, upside_down, with_focal
+from altered_recordings import POSES, Altered, Image, checked, range_of, refusal, upside_down, with_focal
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
 from monoloc.cli.pose_warning import warn_of_poses
@@ -81,7 +81,7 @@ def test_right_recordings_are_not_doubted(
 def test_poses_of_another_convention_are_named(room: tuple[Recording, Matches], name: str) -> None:
     recording, matches = room
     assert recording.poses is not None
-    check = judged(Altered(recording, poses=POSES[name].poses(recording.poses)), matches)
+    check = checked(Altered(recording, poses=POSES[name].poses(recording.poses)), matches)
     assert re.fullmatch(f".* as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
 
 
@@ -103,7 +103,7 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     recording, matches = room
     camera = with_focal(recording.camera, factor)
     matches = replace(matches, camera=with_focal(matches.camera, factor))
-    line = refusal(judged(Altered(recording, camera=camera), matches))
+    line = refusal(checked(Altered(recording, camera=camera), matches))
     found = re.search(r" as a focal length of (\d+) px .*; give --camera 640,480,([\d.]+),", line)
     assert found and float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06), line
 

@@ -16,7 +16,7 @@ from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotati
 from monoloc.io.recording import Recording
 from monoloc.recording_check.correspondences import Matches
 from monoloc.recording_check.evidence import Evidence
-from monoloc.recording_check.pose_check import PoseCheck, judge, require_agreement
+from monoloc.recording_check.pose_check import PoseCheck, check_matches, require_agreement
 
 Image = NDArray[Any]
 
@@ -130,9 +130,9 @@ def upside_down(image: Image) -> Image:
     return image[::-1, ::-1]
 
 
-def judged(recording: Recording, matches: Matches) -> PoseCheck:
+def checked(recording: Recording, matches: Matches) -> PoseCheck:
     """The check of a recording whose corners are matched already."""
-    return judge(Evidence(recording, matches, None))
+    return check_matches(Evidence(recording, matches, None))
 
 
 def refusal(check: PoseCheck) -> str:

@@ -123,10 +123,10 @@ def compare_poses(
     if recording.poses is None or not (recording.has_depth or cloud is not None):
         return PoseCheck("unknown", 0, 0), None
     evidence = gather_evidence(recording, cloud, pairs)
-    return judge(evidence), evidence
+    return check_matches(evidence), evidence
 
 
-def judge(evidence: Evidence) -> PoseCheck:
+def check_matches(evidence: Evidence) -> PoseCheck:
     """As :func:`check_poses`, of corners that are matched already."""
     stated = as_stated(evidence)
     corners = len(evidence.matches.pair)

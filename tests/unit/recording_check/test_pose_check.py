@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from altered_recordings import POSES, Altered, judged, late, range_of, refusal, turning_path, upside_down, with_focal
+from altered_recordings import POSES, Altered, checked, late, range_of, refusal, turning_path, upside_down, with_focal
 from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.geometry import make_pose, se3_exp, so3_exp
@@ -32,7 +32,7 @@ def room() -> tuple[Recording, Matches]:
 
 
 def test_right_recordings_agree(room: tuple[Recording, Matches]) -> None:
-    check = judged(*room)
+    check = checked(*room)
     assert check.verdict == "agree" and check.share is not None and check.share < 0.12 and check.jumps == ()
     assert require_agreement("walk", check, poses_are_refined=False) == []
 
@@ -42,7 +42,7 @@ def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, 
     recording, matches = room
     assert recording.poses is not None
     altered = POSES[name].poses(recording.poses)
-    check = judged(Altered(recording, poses=altered), matches)
+    check = checked(Altered(recording, poses=altered), matches)
     assert re.fullmatch(f".*% as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
     if name not in ("late", "early"):  # which cannot be undone at the ends
         fixes = parse_pose_fixes(POSES[name].option.removeprefix("--fix-poses "))
@@ -52,7 +52,7 @@ def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, 
 def test_one_pose_for_all_frames_is_refused(room: tuple[Recording, Matches]) -> None:
     recording, matches = room
     assert recording.poses is not None
-    line = refusal(judged(Altered(recording, poses=np.repeat(recording.poses[:1], len(recording), axis=0)), matches))
+    line = refusal(checked(Altered(recording, poses=np.repeat(recording.poses[:1], len(recording), axis=0)), matches))
     assert "motions correlate by 0.00" in line and "check the poses' convention" in line
 
 
@@ -77,7 +77,7 @@ def test_poses_that_go_on_in_another_world_give_a_warning_that_names_the_frame(
 @pytest.mark.parametrize("factor", [0.2, 1.4, 5.0, 1000.0])
 def test_depth_of_another_scale_is_named(room: tuple[Recording, Matches], factor: float) -> None:
     recording, matches = room
-    line = refusal(judged(Altered(recording, depth=lambda depth: depth * factor), matches))
+    line = refusal(checked(Altered(recording, depth=lambda depth: depth * factor), matches))
     found = re.fullmatch(r".* differ by a factor of ([\d.]+); give --fix-poses scaled:([\d.]+) if the .*", line)
     assert found, line
     assert float(found[1]) == pytest.approx(max(factor, 1.0 / factor), rel=0.05)
@@ -90,7 +90,7 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     right = recording.camera.focal_px
     camera = with_focal(recording.camera, factor)
     matches = replace(matches, camera=with_focal(matches.camera, factor))
-    line = refusal(judged(Altered(recording, camera=camera), matches))
+    line = refusal(checked(Altered(recording, camera=camera), matches))
     found = re.fullmatch(r".* as a focal length of (\d+) px .*; give --camera \d+,\d+,([\d.]+),.*", line)
     assert found, line
     assert float(found[1]) == pytest.approx(right, rel=0.06)
@@ -108,7 +108,7 @@ def test_intrinsics_of_another_image_size_are_named(room: tuple[Recording, Match
 
     right = recording.camera
     matches = replace(matches, camera=of_another_size(matches.camera))
-    line = refusal(judged(Altered(recording, camera=of_another_size(right)), matches))
+    line = refusal(checked(Altered(recording, camera=of_another_size(right)), matches))
     found = re.fullmatch(r".* as intrinsics of images ([\d.]+) times as large.*; give --camera (.*)", line)
     assert found, line
     assert float(found[1]) == pytest.approx(factor, rel=0.06)
@@ -131,11 +131,11 @@ def test_noisy_poses_give_a_warning_and_unrelated_poses_are_refused(room: tuple[
     assert recording.poses is not None
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(len(recording), 6)) * np.repeat([0.01, np.deg2rad(0.5)], 3)
-    noisy = judged(Altered(recording, poses=recording.poses @ se3_exp(noise)), matches)
+    noisy = checked(Altered(recording, poses=recording.poses @ se3_exp(noise)), matches)
     assert noisy.verdict in ("agree", "doubtful")
     assert len(require_agreement("walk", noisy, poses_are_refined=False)) == (noisy.verdict == "doubtful")
     other = recording.poses[rng.permutation(len(recording))]
-    check = judged(Altered(recording, poses=other), matches)
+    check = checked(Altered(recording, poses=other), matches)
     line = refusal(check)
     assert re.search(r"by their own motion, and motions correlate by -?0\.\d\d\); check the poses", line)
     assert require_agreement("walk", check, poses_are_refined=True) == []  # refinement starts from any
@@ -182,7 +182,7 @@ def test_scale_and_axes_together_are_named(room: tuple[Recording, Matches]) -> N
     assert recording.poses is not None
     poses = POSES["OpenGL"].poses(recording.poses)
     poses[:, :3, 3] *= 3.7
-    line = refusal(judged(Altered(recording, poses=poses), matches))
+    line = refusal(checked(Altered(recording, poses=poses), matches))
     assert re.search(r"; give --fix-poses opengl,scaled:0\.27\d? if the depth is right", line), line
 
 
@@ -198,7 +198,7 @@ def test_too_little_motion_is_not_judged_and_a_build_says_so() -> None:
 def test_range_leaves_the_pose_check_silent(room: tuple[Recording, Matches]) -> None:
     """Its effect on corners is as small as that of noisy poses: planes tell it (test_depth_check.py)."""
     recording, matches = room
-    assert judged(Altered(recording, depth=range_of(recording)), matches).verdict == "agree"
+    assert checked(Altered(recording, depth=range_of(recording)), matches).verdict == "agree"
 
 
 def test_fixed_recording_agrees(room: tuple[Recording, Matches]) -> None:
