@@ -11,17 +11,20 @@ _Result = TypeVar("_Result")
 
 
 class SecondThread:
-    """Does work in the order in which it is begun.
+    """Does work beside the thread that begins it.
 
     Args:
-        exists: whether there is such a thread; if not, work is done by the thread that asks for its result.
+        exists: whether there is such a thread, which does work in the order in which it is begun. If not, work is
+            done by the thread that asks for its result, when it does, and never if none does.
     """
 
     def __init__(self, exists: bool) -> None:
         self._pool = ThreadPoolExecutor(1, "monoloc step") if exists else None
 
     def begin(self, work: Callable[[], _Result], is_needed: bool = True) -> Callable[[], _Result]:
-        """Begin work; the function that is returned waits for its result.
+        """Have work done, once; the function that is returned gives its result.
+
+        With a second thread, the work is begun, and the function waits for it. Without one, the function does it.
 
         Args:
             is_needed: whether the result will be asked for. If not, the work is done only when it is.
