@@ -34,8 +34,9 @@ class BiasAugmentedState:
         covariance: (7 + 6 S, 7 + 6 S) of the pose's twist, as in :class:`Estimate`, of the biases, and of the
             log-scale.
         prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
-        unweighted: (7 + 6 S, 7 + 6 S) covariance of errors that come on top, and by which no measurement is weighted.
-        unweighted_bias: (6, 6) covariance of the landmarks' bias in it that no measurement has corrected.
+        considered: (7 + 6 S, 7 + 6 S) covariance of errors that come on top and are not estimated, so that no
+            measurement is weighted by them (Schmidt 1966).
+        considered_bias: (6, 6) covariance of the landmarks' bias in it that no measurement has corrected.
     """
 
     pose: FloatArray
@@ -43,14 +44,14 @@ class BiasAugmentedState:
     log_scale: float
     covariance: FloatArray
     prior_sds: FloatArray
-    unweighted: FloatArray
-    unweighted_bias: FloatArray
+    considered: FloatArray
+    considered_bias: FloatArray
 
     @classmethod
     def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
         """Before the first measurement: pose and biases are independent."""
         covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
-        return cls._without_unweighted(start.pose, covariance, prior_sds)
+        return cls._with_nothing_considered(start.pose, covariance, prior_sds)
 
     @classmethod
     def from_measurement(
@@ -65,10 +66,10 @@ class BiasAugmentedState:
         covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
         own = slice(6 + 6 * source, 12 + 6 * source)
         covariance[:6, own] = covariance[own, :6] = -bias
-        return cls._without_unweighted(pose.copy(), covariance, prior_sds)
+        return cls._with_nothing_considered(pose.copy(), covariance, prior_sds)
 
     @classmethod
-    def _without_unweighted(
+    def _with_nothing_considered(
         cls, pose: FloatArray, covariance: FloatArray, prior_sds: FloatArray
     ) -> BiasAugmentedState:
         biases, nothing = np.zeros_like(prior_sds), np.zeros_like(covariance)
@@ -82,7 +83,7 @@ class BiasAugmentedState:
         prior_sds: FloatArray,
         by_log_scale: FloatArray = np.zeros(6),
         scale_correlation: float = 1.0,
-        unweighted_noise: FloatArray = np.zeros((6, 6)),
+        considered_noise: FloatArray = np.zeros((6, 6)),
     ) -> BiasAugmentedState:
         """After a motion: the pose moves along, and the biases decay.
 
@@ -96,7 +97,7 @@ class BiasAugmentedState:
             prior_sds: (S, 6) at the new pose.
             by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
             scale_correlation: of the log-scale before and after the motion.
-            unweighted_noise: of the motion, (6, 6), on top of ``noise``; see ``unweighted``.
+            considered_noise: of the motion, (6, 6), on top of ``noise``; see ``considered``.
         """
         remaining = (correlation * self.prior_sds) ** 2
         variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
@@ -106,12 +107,12 @@ class BiasAugmentedState:
         scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2
         process_noise = _block_diagonal(noise, np.diag(np.append((variances - remaining).ravel(), scale_variance)))
         covariance = transition @ self.covariance @ transition.T + process_noise
-        unweighted = transition @ self.unweighted @ transition.T
-        unweighted[:6, :6] += unweighted_noise
+        considered = transition @ self.considered @ transition.T
+        considered[:6, :6] += considered_noise
         pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
-        biases, unweighted_bias = correlation * self.biases, correlation**2 * self.unweighted_bias
+        biases, considered_bias = correlation * self.biases, correlation**2 * self.considered_bias
         return BiasAugmentedState(
-            pose, biases, log_scale, covariance, np.sqrt(variances), unweighted, unweighted_bias
+            pose, biases, log_scale, covariance, np.sqrt(variances), considered, considered_bias
         )
 
     def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
@@ -123,27 +124,27 @@ class BiasAugmentedState:
         pose: FloatArray,
         noise: FloatArray,
         is_decisive: bool,
-        unweighted_bias: FloatArray = np.zeros((6, 6)),
+        considered_bias: FloatArray = np.zeros((6, 6)),
     ) -> BiasAugmentedState:
         """After a landmark pose (4, 4) and its noise (6, 6), without its bias.
 
         Beyond the gate, the noise of one that is not decisive is inflated until it lies on the gate.
 
         Args:
-            unweighted_bias: (6, 6) covariance of a bias that comes on top; see ``unweighted``.
+            considered_bias: (6, 6) covariance of a bias that comes on top; see ``considered``.
         """
-        state = self._with_unweighted_bias(unweighted_bias)
+        state = self._with_considered_bias(considered_bias)
         update = state._update if is_decisive else state._gated_update
         return update(LANDMARKS, pose, noise)
 
-    def _with_unweighted_bias(self, covariance: FloatArray) -> BiasAugmentedState:
+    def _with_considered_bias(self, covariance: FloatArray) -> BiasAugmentedState:
         """With a landmark bias of at least this covariance (6, 6) in every direction."""
-        values, vectors = np.linalg.eigh(covariance - self.unweighted_bias)
+        values, vectors = np.linalg.eigh(covariance - self.considered_bias)
         grown = (vectors * np.maximum(values, 0.0)) @ vectors.T
         own = slice(6 + 6 * LANDMARKS, 12 + 6 * LANDMARKS)
-        unweighted = self.unweighted.copy()
-        unweighted[own, own] += grown
-        return replace(self, unweighted=unweighted, unweighted_bias=self.unweighted_bias + grown)
+        considered = self.considered.copy()
+        considered[own, own] += grown
+        return replace(self, considered=considered, considered_bias=self.considered_bias + grown)
 
     def landmark_excess(self, pose: FloatArray, noise: FloatArray) -> float:
         """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""
@@ -171,7 +172,7 @@ class BiasAugmentedState:
             biases=self.biases + correction[6:-1].reshape(-1, 6),
             log_scale=self.log_scale + float(correction[-1]),
             covariance=covariance,
-            unweighted=remaining @ self.unweighted @ remaining.T,
+            considered=remaining @ self.considered @ remaining.T,
         )
 
     def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -190,7 +191,7 @@ class BiasAugmentedState:
         """Covariance (6, 6) of the pose, had a source's bias larger standard deviations (6,) than its prior's.
 
         The part of the pose's error that comes with that bias is larger by the same factors. Where other sources have
-        revealed the bias, it is small. The unweighted errors are added.
+        revealed the bias, it is small. The considered errors are added.
         """
         own = slice(6 + 6 * source, 12 + 6 * source)
         shared = self.covariance[:6, own]
@@ -198,7 +199,7 @@ class BiasAugmentedState:
         prior = self.prior_sds[source]
         ratio = np.divide(sds, prior, out=np.ones_like(prior), where=prior > 0.0)
         excess = np.sqrt(np.maximum(ratio**2 - 1.0, 0.0))
-        return np.asarray(self.covariance[:6, :6] + excess[:, None] * part * excess + self.unweighted[:6, :6])
+        return np.asarray(self.covariance[:6, :6] + excess[:, None] * part * excess + self.considered[:6, :6])
 
     def estimate(self, log_scale: float) -> Estimate:
         """Pose and covariance as copies, because callers turn them to other axes in place."""

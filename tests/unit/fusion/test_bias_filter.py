@@ -371,7 +371,7 @@ def test_belief_is_the_same_whatever_the_view_and_its_stated_covariance_is_not()
     assert 0.0 < np.trace(seen) < 0.1 * np.trace(wider)
 
 
-def test_unweighted_noise_makes_the_stated_covariance_as_large_as_the_errors() -> None:
+def test_considered_noise_makes_the_stated_covariance_as_large_as_the_errors() -> None:
     """Motions have more noise than the filter weighs them by: its own covariance is too small for the errors."""
     rng, no_bias = np.random.default_rng(7), np.zeros((2, 6))
     noise, more = np.diag(ODOMETRY_SD**2), np.diag((4.0 * ODOMETRY_SD) ** 2)
@@ -382,7 +382,7 @@ def test_unweighted_noise_makes_the_stated_covariance_as_large_as_the_errors() -
         state = replace(state, pose=se3_exp(NOISE_SD * rng.standard_normal(6)))
         for _ in range(6):
             true = true @ STEP @ se3_exp(rng.multivariate_normal(np.zeros(6), noise + more))
-            state = state.predict(STEP, noise, 1.0, no_bias, unweighted_noise=more)
+            state = state.predict(STEP, noise, 1.0, no_bias, considered_noise=more)
             measured = true @ se3_exp(NOISE_SD * rng.standard_normal(6))
             state = state.update_from_landmarks(measured, np.diag(NOISE_SD**2), is_decisive=True)
         error = se3_log(invert(state.pose) @ true)
@@ -407,7 +407,7 @@ def test_correlated_landmark_errors_make_the_stated_covariance_as_large_as_the_e
             state = state.predict(STEP, np.diag(ODOMETRY_SD**2), correlation, no_bias)
             bias = correlation * bias + np.sqrt(1.0 - correlation**2) * 3.0 * NOISE_SD * rng.standard_normal(6)
             measured = true @ se3_exp(bias) @ se3_exp(NOISE_SD * rng.standard_normal(6))
-            state = state.update_from_landmarks(measured, noise, is_decisive=True, unweighted_bias=correlated)
+            state = state.update_from_landmarks(measured, noise, is_decisive=True, considered_bias=correlated)
         error = se3_log(invert(state.pose) @ true)
         own.append(error @ np.linalg.solve(state.covariance[:6, :6], error))
         stated.append(error @ np.linalg.solve(state.stated_covariance(PARTICLES, np.zeros(6)), error))
