@@ -17,19 +17,22 @@ from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
 from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.io.corrected import Fixes, corrected
+from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.recording_check.correspondences import Matches, match_corners
 from monoloc.recording_check.depth_check import check_depth
-from monoloc.recording_check.pose_check import check_poses, require_agreement
+from monoloc.recording_check.lens_check import check_factors
+from monoloc.recording_check.pose_check import check_poses, compare_poses, require_agreement
 
 KITCHEN, DESK = "7scenes/redkitchen", "office-desk"
+PARTS = ((KITCHEN, "0:300:3"), (KITCHEN, "::4"), (DESK, "0:350:7"), (DESK, "0:350:2"))
 
 
-def opened(data_root: Path, folder: str, frames: str) -> Selection:
+def opened(data_root: Path, folder: str, frames: str, depth_scale: float | None = None) -> Selection:
     if not (data_root / folder).is_dir():
         pytest.skip(f"no recording at {data_root / folder}")
-    return select_frames(open_recording(str(data_root / folder)), frames)
+    return select_frames(open_recording(str(data_root / folder), ReaderOptions(depth_scale=depth_scale)), frames)
 
 
 @pytest.fixture(
@@ -93,9 +96,9 @@ def test_depth_scale_is_named_with_its_value(data_root: Path, said: float, right
     whole.depth_scale *= said / right  # type: ignore[attr-defined]
     line = refusal(check_poses(select_frames(whole, "::2")))
     stored = 1000  # of these files
-    assert re.search(rf"factor of [45]\.\d+; give --depth-scale {stored} if the poses are right, or --fix", line), (
-        line
-    )
+    assert re.search(
+        rf"factor of [45]\.\d+ \(to [23]%\); give --depth-scale {stored} if the poses are right, or --fix", line
+    ), line
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.3])
@@ -115,6 +118,26 @@ def test_a_build_warns_of_a_focal_length_that_is_slightly_off(
     desk = opened(data_root, DESK, "0:350:2")
     altered = Altered(desk, camera=with_focal(desk.camera, factor))
     assert [line.split(":")[0] for line in check_recording(altered, None, BuildConfig())] == names
+
+
+@pytest.mark.parametrize(
+    ("folder", "frames"),
+    [(KITCHEN, "::"), (DESK, "::"), *(pytest.param(*part, marks=pytest.mark.slow) for part in PARTS)],
+)
+@pytest.mark.parametrize(
+    ("stated", "is_doubted"),
+    [(1000.0, False), (1080.0, True), *(pytest.param(far, True, marks=pytest.mark.slow) for far in (900.0, 1150.0))],
+)
+def test_a_scale_that_is_8_percent_off_is_doubted_at_any_frame_rate(
+    data_root: Path, folder: str, frames: str, stated: float, is_doubted: bool
+) -> None:
+    check, evidence = compare_poses(opened(data_root, folder, frames, depth_scale=stated), None)
+    if check.verdict == "explained":
+        assert is_doubted and "give --depth-scale 1000 if" in check.fix
+        return
+    assert evidence is not None
+    doubts = [f"{found.value}; {found.remark}" for found in check_factors(evidence) if found.remark]
+    assert any("times as far as the poses say" in doubt for doubt in doubts) == is_doubted, doubts
 
 
 @pytest.mark.slow  # tests/unit/recording_check/test_pose_check.py has them in a synthetic room

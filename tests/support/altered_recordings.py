@@ -78,9 +78,9 @@ def late(poses: FloatArray, frames: int) -> FloatArray:
     return poses[np.clip(np.arange(len(poses)) - frames, 0, len(poses) - 1)]
 
 
-def turning_path(count: int) -> FloatArray:
+def turning_path(count: int, rate_hz: float = 15.0) -> FloatArray:
     """Poses that move and turn about all axes, so that no two conventions agree."""
-    t = np.arange(count) / 15.0
+    t = np.arange(count) / rate_hz
     positions = np.stack([1.2 * np.sin(0.8 * t), 0.5 * np.sin(1.1 * t), 0.8 * np.cos(0.9 * t) - 0.6], axis=1)
     turns = np.stack([0.2 * np.sin(1.9 * t), 0.4 * np.sin(1.3 * t + 0.3), 0.3 * np.sin(2.3 * t)], axis=1)
     return make_pose(so3_exp(turns), positions)

@@ -23,15 +23,21 @@ from monoloc.odometry.corner_tracking import track_corners
 from monoloc.odometry.odometry_config import OdometryConfig
 
 DepthOf = Callable[[int], NDArray[np.float32]]
-_Pair = tuple[tuple[int, int], NDArray[np.float32]]  # two frames, and their matches (M, 2, 2)
+MatchedPair = tuple[tuple[int, int], NDArray[np.float32]]  # two frames, and their matches (M, 2, 2)
 
 PAIRS = 30
 """Number of pairs of frames that are compared."""
 
+LEAST_MATCHES = 20
+"""Number of matches, with fewer of which a pair is left out."""
+
+LEAST_MOTION = 0.01
+"""Median motion of a pair's corners, share of the image's width, with less of which it is left out."""
+
 _TRACKING = OdometryConfig()  # the odometry's settings for corners
 _STEPS = (1, 2, 4, 8)  # frames apart; the first that moves far enough is used
-_ENOUGH_MOTION, _LEAST_MOTION = 0.05, 0.01  # median motion of the corners, share of the image's width
-_LEAST_CORNERS, _LEAST_MATCHES = 30, 20  # of a frame, and of a pair
+_ENOUGH_MOTION = 0.05  # median motion of the corners, share of the image's width
+_LEAST_CORNERS = 30  # of a frame
 _MOST_MATCHES = 120  # of a pair: enough for a median
 
 
@@ -40,7 +46,7 @@ class Matches:
     """P corners matched over N pairs of frames.
 
     Attributes:
-        camera: of the images in which corners are matched, at most 320 pixels wide.
+        camera: of the images in which corners are matched, which may be smaller than those of the recording.
         frames: (N, 2) indices of the two frames of each pair.
         pair: (P,) index of the pair of each match, ascending.
         pixels: (P, 2, 2) where the corner is in the first and in the second frame, pixels of ``camera``.
@@ -102,9 +108,9 @@ def match_corners(recording: Recording, pairs: int = PAIRS) -> Matches:
     """
     images = _tracking_images(recording)
     starts = evenly_spaced(len(recording) - 1, pairs) if len(recording) > 1 else np.zeros(0, np.int64)
-    count, least_px = len(recording), _LEAST_MOTION * images.camera.width
+    count, least_px = len(recording), LEAST_MOTION * images.camera.width
     found = [pair for start in starts.tolist() if (pair := _match(images, start, count, least_px)) is not None]
-    return _joined(images.camera, found, np.array([_motion(pixels) for _, pixels in found]))
+    return joined_pairs(images.camera, found, np.array([median_motion_px(pixels) for _, pixels in found]))
 
 
 def match_neighbours(recording: Recording, starts: Iterable[int]) -> Matches:
@@ -115,10 +121,11 @@ def match_neighbours(recording: Recording, starts: Iterable[int]) -> Matches:
     """
     images = _tracking_images(recording)
     found = [pair for start in starts if (pair := _match(images, start, start + 2, 0.0)) is not None]
-    return _joined(images.camera, found, np.ones(len(found)))
+    return joined_pairs(images.camera, found, np.ones(len(found)))
 
 
-def _joined(camera: Camera, found: list[_Pair], motion_px: FloatArray) -> Matches:
+def joined_pairs(camera: Camera, found: list[MatchedPair], motion_px: FloatArray) -> Matches:
+    """The matches of pairs, with the motion of each."""
     return Matches(
         camera,
         frames=np.array([frames for frames, _ in found], dtype=np.int64).reshape(-1, 2),
@@ -150,11 +157,12 @@ class TrackingImages:
         return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
 
 
-def _motion(pixels: NDArray[np.float32]) -> float:
+def median_motion_px(pixels: NDArray[np.float32]) -> float:
+    """Median distance between the two places of corners (M, 2, 2)."""
     return float(np.median(np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)))
 
 
-def _match(images: TrackingImages, start: int, count: int, least_px: float) -> _Pair | None:
+def _match(images: TrackingImages, start: int, count: int, least_px: float) -> MatchedPair | None:
     """The pair of frames from ``start`` on, and its matches (M, 2, 2); None if it has none, or moves less."""
     before = images(start)
     if before is None:
@@ -167,12 +175,12 @@ def _match(images: TrackingImages, start: int, count: int, least_px: float) -> _
     for step in _STEPS:
         after = images(start + step) if start + step < count else None
         matched = None if after is None else _follow(before, after, corners)
-        if matched is None or len(matched) < _LEAST_MATCHES:
+        if matched is None or len(matched) < LEAST_MATCHES:
             break
         best = (start, start + step), matched
-        if _motion(matched) > _ENOUGH_MOTION * images.camera.width:
+        if median_motion_px(matched) > _ENOUGH_MOTION * images.camera.width:
             break
-    if best is None or _motion(best[1]) < least_px:
+    if best is None or median_motion_px(best[1]) < least_px:
         return None
     frames, pixels = best
     return frames, pixels[evenly_spaced(len(pixels), _MOST_MATCHES)]

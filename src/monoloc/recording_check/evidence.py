@@ -50,13 +50,17 @@ class Evidence:
 
     def depth_m(self, poses: FloatArray) -> FloatArray:
         """Depth of the corners in the first frame, (P,): the sensor's, or that of the cloud seen from the poses."""
-        if not self.recording.has_depth:
-            assert self._cloud is not None
-            rendered = map_depth(with_poses(self.recording, poses), self._cloud)
-            return self.matches.depth_m(self.recording, lambda index: _without_gaps(rendered(index)))
+        if not self.recording.has_depth and poses is not self.poses:
+            return self._rendered(poses)
         if self._measured is None:
-            self._measured = self.matches.depth_m(self.recording, self.recording.depth)
+            has_depth, recording = self.recording.has_depth, self.recording
+            self._measured = self.matches.depth_m(recording, recording.depth) if has_depth else self._rendered(poses)
         return self._measured
+
+    def _rendered(self, poses: FloatArray) -> FloatArray:
+        assert self._cloud is not None
+        rendered = map_depth(with_poses(self.recording, poses), self._cloud)
+        return self.matches.depth_m(self.recording, lambda index: _without_gaps(rendered(index)))
 
     def for_search(self) -> Evidence:
         """The same evidence, with fewer pairs if many hypotheses on all of them would take a minute."""

@@ -17,6 +17,7 @@ from monoloc.io.upright import Turned
 from monoloc.recording_check.evidence import Evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
 from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
+from monoloc.recording_check.wide_pairs import match_wide
 
 LEAST_PAIRS = 8
 """Pairs of frames, with fewer of which nothing is compared."""
@@ -32,7 +33,8 @@ _TIE = 1.15  # hypotheses within this factor of the best are equal, and the simp
 _EXACT_POSES = 0.05  # smaller errors are equal too
 
 _COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
-_SAME = 0.04  # relative difference of an estimated factor from a common value that it is taken for
+# Logarithm by which an estimated scale may differ from a common one that it is taken for: within its uncertainty.
+_LEAST_SAME, _SAME_SDS, _MOST_SAME = 0.04, 3.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,8 @@ def _exact(evidence: Evidence) -> Iterator[Explanation]:
 def _fitted(evidence: Evidence) -> Iterator[Explanation]:
     """Explanations by one factor; they have it as a further part."""
     if evidence.recording.has_depth:
-        yield _by_scale(evidence, fit_depth_scale(evidence), "", 2)
+        scale = fit_depth_scale(evidence)
+        yield _by_scale(evidence, _refined(evidence, scale), "", 2, scale.fit.median)
     focal = fit_focal(evidence)
     yield Explanation(*_focal_words(evidence, focal), 2, focal.fit.median)
     size = fit_image_size(evidence)
@@ -119,21 +122,29 @@ def _in_another_scale(evidence: Evidence) -> Iterator[Explanation]:
     if not evidence.recording.has_depth:
         return
     for name, convention in AXES.items():
-        yield _by_scale(evidence, fit_depth_scale(evidence, convention.convert), name, 3)
+        scale = fit_depth_scale(evidence, convention.convert)
+        yield _by_scale(evidence, scale, name, 3, scale.fit.median)
 
 
-def _by_scale(evidence: Evidence, scale: Factor, axes: str, parts: int) -> Explanation:
+def _refined(evidence: Evidence, scale: Factor) -> Factor:
+    """A scale that explains neighbouring frames, by frames farther apart if there are some."""
+    wide = match_wide(evidence, scale.value) if scale.fit.median <= _FITS else None
+    return scale if wide is None else fit_depth_scale(wide)
+
+
+def _by_scale(evidence: Evidence, scale: Factor, axes: str, parts: int, share: float) -> Explanation:
     """Depth and poses that differ by a factor; which of the two is wrong, images do not tell."""
-    what = f"depth and poses of scales that differ by a factor of {_digits(max(scale.value, 1.0 / scale.value))}"
+    factor = f"{_digits(max(scale.value, 1.0 / scale.value))}{_sd_words(scale)}"
+    what = f"depth and poses of scales that differ by a factor of {factor}"
     of_poses = f"--fix-poses {axes}{',' * bool(axes)}scaled:{_digits(scale.value)}"
-    rescaled = depth_scale_option(evidence.recording, scale.value)
+    rescaled = depth_scale_option(evidence.recording, scale.value, scale.log_sd)
     option = f"{of_poses} if the depth is right"
     if rescaled is not None:
         axes_too = f"--fix-poses {axes} " if axes else ""
         option = f"{axes_too}{rescaled} if the poses are right, or {option}"
     if axes:
         what = f"{AXES[axes].what} and {what}"
-    return Explanation(*_joined(evidence, what, option), parts, scale.fit.median)
+    return Explanation(*_joined(evidence, what, option), parts, share)
 
 
 def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
@@ -173,19 +184,24 @@ def _joined(evidence: Evidence, what: str, option: str) -> tuple[str, str]:
     return f"{evidence.what}, and {what}", f"{evidence.option} {option}"
 
 
-def depth_scale_option(recording: Recording, factor: float) -> str | None:
-    """The option that corrects depth which is a factor too far; None where no stored value of one metre is known."""
+def depth_scale_option(recording: Recording, factor: float, log_sd: float = 0.0) -> str | None:
+    """The option that corrects depth which is a factor too far; None where no stored value of one metre is known.
+
+    Args:
+        recording: with depth.
+        factor: stated over true depth.
+        log_sd: standard deviation of its logarithm.
+    """
     source = recording.source if isinstance(recording, Selection) else recording
     source = source.source if isinstance(source, Turned) else source
     if not isinstance(source, ImageRecording | StrayScannerRecording):
         return None
-    return f"--depth-scale {_common(source.depth_scale * factor):g}"
-
-
-def _common(value: float) -> float:
-    """The common depth scale near a value, or the value with three digits."""
-    nearest = min(_COMMON_SCALES, key=lambda common: abs(np.log(value / common)))
-    return nearest if abs(value / nearest - 1.0) < _SAME else float(_digits(value))
+    value = source.depth_scale * factor
+    others = [common for common in _COMMON_SCALES if common != source.depth_scale]
+    nearest = min(others, key=lambda common: abs(np.log(value / common)))
+    reach = min(_MOST_SAME, max(_LEAST_SAME, _SAME_SDS * log_sd))
+    is_common = abs(np.log(value / nearest)) < reach
+    return f"--depth-scale {nearest if is_common else float(_digits(value)):g}"
 
 
 def _digits(value: float) -> str:

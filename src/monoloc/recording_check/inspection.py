@@ -117,7 +117,7 @@ def inspect_recording(
         compared, evidence = compare_poses(recording, cloud)
         poses = None if evidence is None else compared
         step(3)
-        factors = None if evidence is None or compared.verdict != "agree" else check_factors(evidence)
+        factors = [] if evidence is None or compared.verdict != "agree" else check_factors(evidence)
         step(4)
         agreement = None if bundle is None else compare_with_map(bundle, recording)
         step(5)
@@ -132,7 +132,7 @@ def inspect_recording(
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *(() if is_explained else _of_disagreement(recording)),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
-        *(_of_factors(*factors) if factors is not None else ()),
+        *(Finding(of.name, "warning" if of.remark else "good", of.value, of.remark) for of in factors),
         *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
     ]
     if agreement is not None and bundle is not None:
@@ -256,10 +256,6 @@ def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
         off = "" if poses.share is not None else " of the corners' motion off"
         why = f"{poses.explanation.share:.0%}{off} as {poses.explanation.what}"
     yield Finding("poses", level, value, f"{why}; {poses.fix}")
-
-
-def _of_factors(name: str, value: str, remark: str) -> Iterator[Finding]:
-    yield Finding(name, "warning" if remark else "good", value, remark)
 
 
 def _of_landmarks(agreement: MapAgreement) -> Finding:

@@ -161,7 +161,7 @@ CONTRADICTIONS: dict[str, tuple[Callable[[Recording], Recording], str, str]] = {
     ),
     "unit of depth": (
         lambda walk: Altered(walk, depth=lambda depth: 2.0 * depth),
-        "differ by a factor of 2",
+        r"differ by a factor of (2|2\.0\d|1\.9\d) \(to \d%\)",
         "scaled:",
     ),
 }

@@ -17,6 +17,7 @@ from monoloc.io.recording import Recording, Selection
 from monoloc.recording_check.correspondences import Matches, match_corners
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.lens_check import camera_doubts, check_factors, intrinsics_warnings
+from monoloc.recording_check.wide_pairs import match_wide
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording
 
 CALIBRATE = "calibrate the camera, or check that the intrinsics are of this image size"
@@ -39,7 +40,8 @@ def test_a_wrong_focal_length_is_not_taken_for_a_wrong_scale(room: tuple[Recordi
     evidence = Evidence(
         Altered(recording, camera=camera), replace(matches, camera=with_focal(matches.camera, 1.1)), None
     )
-    name, value, remark = check_factors(evidence)
+    (of_focal,) = check_factors(evidence)
+    name, value, remark = of_focal.name, of_focal.value, of_focal.remark
     found = re.fullmatch(rf"([\d.]+) ± [\d.]+ of the stated {camera.focal_px:.0f} px", value)
     assert found and float(found[1]) == pytest.approx(1.0 / 1.1, rel=0.03)
     assert (name, remark) == ("focal length", CALIBRATE)
@@ -50,7 +52,8 @@ def test_a_wrong_focal_length_is_not_taken_for_a_wrong_scale(room: tuple[Recordi
 def test_a_wrong_scale_is_not_taken_for_a_wrong_focal_length(room: tuple[Recording, Matches], factor: float) -> None:
     recording, matches = room
     scaled = Altered(recording, depth=lambda depth: factor * depth)
-    name, value, remark = check_factors(Evidence(scaled, matches, None))
+    (of_scale,) = check_factors(Evidence(scaled, matches, None))
+    name, value, remark = of_scale.name, of_scale.value, of_scale.remark
     found = re.fullmatch(r"depth is ([\d.]+) ± [\d.]+ times as far as the poses say", value)
     assert found and float(found[1]) == pytest.approx(factor, rel=0.02)
     assert (name, remark) == ("scale", "check the scale of the depth and the unit of the poses")
@@ -60,8 +63,7 @@ def test_a_scale_that_images_gave_is_not_doubted(room: tuple[Recording, Matches]
     recording, matches = room
     scaled = Altered(recording, depth=lambda depth: 1.07 * depth)
     scaled.scale_sd = 0.1  # type: ignore[attr-defined]
-    name, _, remark = check_factors(Evidence(scaled, matches, None))
-    assert (name, remark) == ("focal length", "")
+    assert [(of.name, of.remark) for of in check_factors(Evidence(scaled, matches, None))] == [("focal length", "")]
 
 
 @pytest.mark.parametrize(("factor", "remark"), [(1.0, ""), (1.1, CALIBRATE)])
@@ -71,8 +73,8 @@ def test_a_camera_that_only_turns_tells_the_focal_length_and_no_scale(factor: fl
     matches = match_corners(tripod)
     matches = replace(matches, camera=with_focal(matches.camera, factor))
     altered = Altered(tripod, camera=with_focal(tripod.camera, factor))
-    name, _, found = check_factors(Evidence(altered, matches, None))
-    assert (name, found) == ("focal length", remark)
+    found = check_factors(Evidence(altered, matches, None))
+    assert [(of.name, of.remark) for of in found] == [("focal length", remark)]
 
 
 def test_a_build_warns_as_check_does(room: tuple[Recording, Matches]) -> None:
@@ -90,3 +92,13 @@ def test_intrinsics_that_no_camera_has_give_a_warning(changes: dict[str, float],
     camera: Camera = replace(SMALL_CAMERA, **changes)  # type: ignore[arg-type]
     assert [name for name, _, _ in camera_doubts(camera)] == names
     assert [line.split(":")[0] for line in intrinsics_warnings(None, camera)] == names
+
+
+def test_scale_is_measured_over_the_same_distances_at_any_frame_rate() -> None:
+    distances_m = []
+    for rate in (1, 4):
+        recording = RoomRecording(Room(), turning_path(20 * rate, rate_hz=15.0 * rate), SMALL_CAMERA)
+        wide = match_wide(Evidence(recording, match_corners(recording), None))
+        assert wide is not None
+        distances_m.append(np.median(np.linalg.norm(wide.relative(wide.poses)[:, :3, 3], axis=1)))
+    assert distances_m[1] == pytest.approx(distances_m[0], rel=0.2)

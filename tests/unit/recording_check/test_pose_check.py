@@ -78,7 +78,9 @@ def test_poses_that_go_on_in_another_world_give_a_warning_that_names_the_frame(
 def test_depth_of_another_scale_is_named(room: tuple[Recording, Matches], factor: float) -> None:
     recording, matches = room
     line = refusal(checked(Altered(recording, depth=lambda depth: depth * factor), matches))
-    found = re.fullmatch(r".* differ by a factor of ([\d.]+); give --fix-poses scaled:([\d.]+) if the .*", line)
+    found = re.fullmatch(
+        r".* differ by a factor of ([\d.]+) \(to 2%\); give --fix-poses scaled:([\d.]+) if the .*", line
+    )
     assert found, line
     assert float(found[1]) == pytest.approx(max(factor, 1.0 / factor), rel=0.05)
     assert float(found[2]) == pytest.approx(factor, rel=0.05)
