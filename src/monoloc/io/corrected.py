@@ -53,7 +53,7 @@ class Fixes:
 
 
 class _Converted:
-    """A recording with poses and depth of its own."""
+    """A recording with poses and depth of its own; ``pose_fix`` is what was asked for to get these poses."""
 
     def __init__(
         self,
@@ -61,8 +61,9 @@ class _Converted:
         poses: FloatArray | None,
         depth_map: _DepthMap | None,
         down_world: FloatArray | None = None,
+        pose_fix: str | None = None,
     ) -> None:
-        self._source, self._depth_map = source, depth_map
+        self.source, self.pose_fix, self._depth_map = source, pose_fix, depth_map
         self.name, self.camera = source.name, source.camera
         self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
         self.poses, self.has_depth = poses, source.has_depth
@@ -70,13 +71,13 @@ class _Converted:
         self.scale_sd, self.down_world = scale_sd_of(source), down_world
 
     def __len__(self) -> int:
-        return len(self._source)
+        return len(self.source)
 
     def color(self, index: int) -> NDArray[np.uint8]:
-        return self._source.color(index)
+        return self.source.color(index)
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        depth = self._source.depth(index)
+        depth = self.source.depth(index)
         return depth if self._depth_map is None else self._depth_map(depth)
 
 
@@ -105,11 +106,21 @@ def _as_fixed(recording: Recording, fixes: Fixes) -> Recording:
     if fixes.depth is not None:
         recording = with_depth_fix(recording, fixes.depth)
     if fixes.poses is not None:
-        recording = _with_pose_fixes(recording, parse_pose_fixes(fixes.poses))
+        recording = _with_pose_fixes(recording, parse_pose_fixes(fixes.poses), fixes.poses)
     return recording
 
 
-def _with_pose_fixes(recording: Recording, fixes: PoseFixes) -> Recording:
+def without_pose_fix(recording: Recording) -> tuple[str, Recording] | None:
+    """The fix of its poses that was asked for, and the recording without it; None if none was."""
+    if isinstance(recording, Selection):
+        found = without_pose_fix(recording.source)
+        return None if found is None else (found[0], Selection(found[1], recording.positions))
+    if isinstance(recording, _Converted) and recording.pose_fix is not None:
+        return recording.pose_fix, recording.source
+    return None
+
+
+def _with_pose_fixes(recording: Recording, fixes: PoseFixes, pose_fix: str) -> Recording:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses to fix", "leave out --fix-poses")
     rows = np.arange(len(recording)) + fixes.late_frames
@@ -118,7 +129,7 @@ def _with_pose_fixes(recording: Recording, fixes: PoseFixes) -> Recording:
         problem = f"has {len(recording)} frames, and poses off by {fixes.late_frames} leave none"
         raise DataError(recording.name, problem, "give fewer frames in --fix-poses")
     poses = fixes.convert(recording.poses[rows[frames]])
-    return _Converted(Selection(recording, frames), poses, None)
+    return _Converted(Selection(recording, frames), poses, None, pose_fix=pose_fix)
 
 
 def with_depth_fix(recording: Recording, name: str) -> Recording:

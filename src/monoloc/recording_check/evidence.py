@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
-from monoloc.io.corrected import is_seven_scenes, with_depth_fix, with_poses
+from monoloc.io.corrected import is_seven_scenes, with_depth_fix, with_poses, without_pose_fix
 from monoloc.io.pose_fixes import CONVENTIONS
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
@@ -32,6 +32,7 @@ class Evidence:
         recording: posed.
         reproject: errors of the matches under relative poses.
         what, option: what the recording is taken as, other than stated, and the option for that; empty as stated.
+        pose_fix: names of ``--fix-poses`` that these poses have already; empty if it was not given.
         focal_is_unknown: whether the camera's stated focal length is that of another camera.
     """
 
@@ -41,6 +42,8 @@ class Evidence:
         assert recording.poses is not None
         self.recording, self.reproject, self.what, self.option = recording, Reprojector(matches), what, option
         self.poses, self.focal_is_unknown = recording.poses, False
+        given = without_pose_fix(recording)
+        self.pose_fix = "" if given is None else given[0]
         self._cloud = cloud
         self._measured: FloatArray | None = None
 
@@ -72,6 +75,11 @@ class Evidence:
     def of(self, recording: Recording, matches: Matches) -> Evidence:
         """Other corners, of other frames, with depth from the same source."""
         return Evidence(recording, matches, self._cloud)
+
+    def without_fix(self) -> Evidence | None:
+        """The same corners, with the poses as they are stored; None if no fix of them was asked for."""
+        given = without_pose_fix(self.recording)
+        return None if given is None else self.of(given[1], self.matches)
 
     def relative(self, poses: FloatArray) -> FloatArray:
         """``T_second_first`` of the pairs, (N, 4, 4), from poses of the recording's frames."""

@@ -37,13 +37,16 @@ _COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
 _LEAST_SAME, _SAME_SDS, _MOST_SAME = 0.04, 3.0, 0.1
 
 
+_LEAVE_OUT = "leave out"
+
+
 @dataclass(frozen=True)
 class Explanation:
     """What a recording agrees as.
 
     Attributes:
         what: "camera axes of OpenGL".
-        option: command-line option that applies it.
+        option: command-line option that applies it, or "leave out ..." of one that was given.
         parts: number of things that are other than stated.
         share: median error under it, share of the corners' motion.
     """
@@ -53,12 +56,16 @@ class Explanation:
     parts: int
     share: float
 
+    @property
+    def fix(self) -> str:
+        return self.option if self.option.startswith(_LEAVE_OUT) else f"give {self.option}"
+
 
 def explain(evidence: Evidence, share: float) -> Explanation | None:
     """The simplest of the best explanations; None if none brings the error down to that of a right recording."""
     evidence = evidence.for_search()
     readings = other_readings(evidence)
-    exact = [*_exact(evidence), *(_by_reading(reading) for reading in readings)]
+    exact = [*_without_fix(evidence), *_exact(evidence), *(_by_reading(reading) for reading in readings)]
     plain = _best(exact, _CLEAR * share)
     if plain is not None:
         return plain
@@ -75,7 +82,8 @@ def explain_unseen_cloud(evidence: Evidence) -> Explanation | None:
     """A convention by which poses that see nothing of the cloud do see it, and agree; None if there is none."""
     if evidence.recording.has_depth or len(evidence.matches) < LEAST_PAIRS:
         return None
-    return _best(list(_exact(evidence.for_search())), float("inf"))
+    evidence = evidence.for_search()
+    return _best([*_without_fix(evidence), *_exact(evidence)], float("inf"))
 
 
 def _best(explanations: list[Explanation], most: float) -> Explanation | None:
@@ -93,6 +101,16 @@ def _exact(evidence: Evidence) -> Iterator[Explanation]:
         measured = hypothesis.measure(evidence)
         share = measured.median if 2 * measured.pairs >= min(LEAST_PAIRS, len(evidence.matches)) else float("inf")
         yield Explanation(*_joined(evidence, hypothesis.what, hypothesis.option), hypothesis.parts, share)
+
+
+def _without_fix(evidence: Evidence) -> Iterator[Explanation]:
+    """The poses as they are stored, or with another fix in place of the one that was given."""
+    stored = evidence.without_fix()
+    if stored is None:
+        return
+    yield Explanation("they are stored", f"{_LEAVE_OUT} --fix-poses {evidence.pose_fix}", 0, as_stated(stored).median)
+    for other in _exact(stored):
+        yield replace(other, option=f"{other.option} in place of {evidence.pose_fix}")
 
 
 def _fitted(evidence: Evidence) -> Iterator[Explanation]:
@@ -176,7 +194,9 @@ def _resized(camera: Camera, factor: float) -> Camera | None:
 
 
 def _joined(evidence: Evidence, what: str, option: str) -> tuple[str, str]:
-    """What the evidence and a hypothesis change, in one."""
+    """What the evidence and a hypothesis change, in one; a fix of the poses comes after one that was given."""
+    if evidence.pose_fix:
+        option = option.replace("--fix-poses ", f"--fix-poses {evidence.pose_fix},")
     if not evidence.what:
         return what, option
     if option.startswith("--fix-poses ") and "--fix-poses" in evidence.option:

@@ -95,7 +95,7 @@ class PoseCheck:
     @property
     def fix(self) -> str:
         if self.explanation is not None:
-            return f"give {self.explanation.option}"
+            return self.explanation.fix
         return "check the poses' convention, their times, the depth's scale and the intrinsics"
 
 

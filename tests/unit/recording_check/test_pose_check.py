@@ -49,6 +49,27 @@ def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, 
         np.testing.assert_allclose(fixes.convert(altered), recording.poses, atol=1e-6)
 
 
+@pytest.mark.parametrize("given", ["opengl", "world-to-camera", "left-handed", "millimetres", "w-first", "late:4"])
+def test_a_fix_that_a_right_recording_did_not_need_is_to_be_left_out(
+    room: tuple[Recording, Matches], given: str
+) -> None:
+    line = refusal(check_poses(Selection(corrected(room[0], Fixes(poses=given)), range(50))))
+    assert re.fullmatch(rf".*% as they are stored; leave out --fix-poses {given}", line)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "fix"),
+    [("robot", "opengl", "robot in place of opengl"), ("COLMAP", "w-first", "w-first,world-to-camera")],
+)
+def test_a_fix_is_named_in_place_of_or_after_the_one_that_was_given(
+    room: tuple[Recording, Matches], name: str, given: str, fix: str
+) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    stored = Altered(recording, poses=POSES[name].poses(recording.poses))
+    assert refusal(judged(corrected(stored, Fixes(poses=given)), matches)).endswith(f"; give --fix-poses {fix}")
+
+
 def test_one_pose_for_all_frames_is_refused(room: tuple[Recording, Matches]) -> None:
     recording, matches = room
     assert recording.poses is not None
