@@ -122,7 +122,8 @@ class Camera:
             raise SettingError(
                 "camera.distortion",
                 f"{self.distortion} folds the image onto itself",
-                f"give {names} as they were measured with these focal lengths",
+                f"give {names} as they were measured with these focal lengths, or correct fx, fy, "
+                f"which are ({self.fx:g}, {self.fy:g}) for images of {self.width}x{self.height}",
             )
 
     @property

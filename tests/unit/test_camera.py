@@ -305,6 +305,12 @@ def test_distortion_that_folds_the_image_is_refused(bend, share):
         Camera(width, height, outside, outside, 319.5, 239.5, (-bend, 0.0, 0.0, 0.0, 0.0))
 
 
+def test_folding_by_the_focal_length_of_half_the_size_names_fx_and_fy():
+    fix = r"or correct fx, fy, which are \(262, 262\) for images of 640x480"
+    with pytest.raises(SettingError, match=f"folds the image onto itself; give k1, .*, {fix}"):
+        Camera(640, 480, 262.0, 262.0, 319.5, 239.5, (-0.08, 0.0, 0.0, 0.0, 0.0))
+
+
 def test_fisheye_that_folds_the_image_is_refused():
     """The angle t becomes t - t^3 / 3, which grows up to t = 1, where it is 2/3."""
     bend = (-1.0 / 3.0, 0.0, 0.0, 0.0)
