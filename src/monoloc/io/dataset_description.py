@@ -161,6 +161,10 @@ class DatasetDescription:
             raise self.error(key, f"is {value}, by which no frame remains of the colour images {numbers}")
         return found
 
+    def left_out(self, indices: list[int]) -> list[int]:
+        """Frame numbers between the first and the last one of ascending ones that are not among them."""
+        return sorted(set(range(indices[0], indices[-1], self.step())) - set(indices))
+
     def step(self) -> int:
         step = self.integer("step") if self.has("step") else 1
         if step < 1:

@@ -131,7 +131,7 @@ def _times_and_poses(
         times_s = _times_by_rate(description, indices)
         known, poses = _poses_of_files(description, indices)
     else:
-        times_s, known, poses = _poses_of_one_file(description, len(indices))
+        times_s, known, poses = _poses_of_one_file(description, indices)
     frames.require(known, _UNPOSED)
     if description.has("pose_unit_m"):
         poses[:, :3, 3] *= description.positive("pose_unit_m")
@@ -158,16 +158,22 @@ def _times_by_rate(description: DatasetDescription, indices: list[int]) -> Float
 
 
 def _poses_of_one_file(
-    description: DatasetDescription, count: int
+    description: DatasetDescription, indices: list[int]
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
     """Time stamps (N,), whether the pose is known (N,), and the poses (N, 4, 4)."""
     path = description.path.parent / description.text("poses")
     require_file(path, f"write it, or correct poses in {FILE_NAME}")
     times_s, known, poses = read_tum_with_gaps(path)
-    if len(poses) != count:
+    if len(poses) != len(indices):
+        problem = f"has {len(poses)} poses for {len(indices)} frames"
+        missing = description.paths("color", description.left_out(indices))
+        if missing:
+            more = f", as {len(missing) - 1} more of the sequence" if len(missing) > 1 else ""
+            fix = f"restore what is missing, or delete its line of {path.name}"
+            raise DataError(missing[0], f"is missing{more}, and {path.name} {problem}", fix)
         raise DataError(
             path,
-            f"has {len(poses)} poses for {count} frames",
+            problem,
             "write one line for each frame, with nan in place of an unknown pose's seven numbers; or give rate_hz "
             f"instead of poses in {FILE_NAME}, for localisation only",
         )

@@ -193,6 +193,14 @@ def test_poses_of_another_count_are_refused(folder: Path) -> None:
     refuses_to_open(folder, folder / "poses.txt", "has 2 poses for 3 frames", fix)
 
 
+def test_deleted_image_of_a_numbered_sequence_is_named(folder: Path) -> None:
+    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace("count = 3\n", ""))
+    deleted = folder / "color/000015.jpg"
+    deleted.unlink()
+    problem = "is missing, and poses.txt has 3 poses for 2 frames"
+    refuses_to_open(folder, deleted, problem, "restore what is missing, or delete its line of poses.txt")
+
+
 def test_advice_about_unknown_poses_leads_to_a_recording(folder: Path) -> None:
     """Of the frames that have poses, or of all frames without poses."""
     path = folder / "poses.txt"
