@@ -63,7 +63,7 @@ _BUILD_EVERY, _FEWEST_BUILD_FRAMES = 4, 10  # a bundle is built from every fourt
 RoomArgument = Annotated[
     str | None,
     typer.Argument(
-        metavar="[SOURCE]",
+        metavar="SOURCE",
         help="A recording with depth, whose room is the map. [a synthetic room]",
         show_default=False,
     ),

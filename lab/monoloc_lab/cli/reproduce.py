@@ -34,7 +34,7 @@ def reproduce(
     figures: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[FIGURE]...",
+            metavar="FIGURE",
             help="Such as fig4d. [all but ablation, adapt-settings, robustness, ladder, claims-by-method, posenets]",
         ),
     ] = None,

@@ -108,6 +108,17 @@ def _option_first(message: str) -> str:
     return f"{option[1]}: {in_plain_words(message[option.end() :]).removesuffix('.')}"
 
 
+def _named_command(arguments: list[str]) -> str:
+    """The command that arguments name, for errors of typer that do not know it."""
+    command: object = command_line(arguments)
+    names = ["monoloc"]
+    for argument in arguments:
+        if isinstance(command, TyperGroup) and argument in command.commands:
+            command = command.commands[argument]
+            names.append(argument)
+    return " ".join(names)
+
+
 def carry_out(arguments: list[str]) -> int:
     """Run a command line and return its exit code.
 
@@ -129,7 +140,8 @@ def carry_out(arguments: list[str]) -> int:
         if "\n" in problem:  # a group without a command: the message is its help
             typer.echo(problem, err=True)
             return 2
-        raise MonolocError(f"{problem} (see: {context.command_path if context else 'monoloc'} --help)") from error
+        command = _named_command(arguments) if context is None else context.command_path
+        raise MonolocError(f"{problem} (see: {command} --help)") from error
     if result == _INTERRUPTED:
         raise KeyboardInterrupt
     return result if isinstance(result, int) else 0

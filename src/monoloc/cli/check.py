@@ -33,9 +33,14 @@ from monoloc.viz.check_drawing import plot_check
 
 def check(
     target: Annotated[
-        str, typer.Argument(metavar="[BUNDLE] SOURCE", help="Recording, after a bundle to compare it with.")
+        str,
+        typer.Argument(
+            metavar="SOURCE|BUNDLE", help="Recording, or a bundle to compare a recording with.", show_default=False
+        ),
     ],
-    source: Annotated[str | None, typer.Argument(metavar="", show_default=False, hidden=True)] = None,
+    source: Annotated[
+        str | None, typer.Argument(metavar="SOURCE", help="Recording, after a bundle.", show_default=False)
+    ] = None,
     frames: FramesOption = "::",
     cloud: Annotated[
         Path | None, typer.Option("--cloud", help="Cloud of the room, in the poses' world, if there is no depth.")

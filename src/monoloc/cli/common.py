@@ -71,8 +71,8 @@ IntrinsicsOption = Annotated[
         "--camera",
         "--intrinsics",
         metavar="FILE.toml|W,H,FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
-        help="Intrinsics of the colour images, overriding the files': a file from monoloc calibrate, or numbers. "
-        "Without K1 to K3, the distortion is unchanged.",
+        help="Intrinsics of the colour images, in place of the recording's own: a file from monoloc calibrate, or "
+        "numbers. Without K1 to K3, the distortion is unchanged.",
     ),
 ]
 DepthScaleOption = Annotated[

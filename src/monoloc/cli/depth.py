@@ -206,7 +206,9 @@ def evaluate(
 
 @app.command()
 def export(
-    network: Annotated[Path, typer.Argument(help="Network to export, a network.safetensors.", show_default=False)],
+    network: Annotated[
+        Path, typer.Argument(metavar="NETWORK", help="Network to export, a network.safetensors.", show_default=False)
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help=".onnx file to write.")],
     int8: Annotated[
         str | None,

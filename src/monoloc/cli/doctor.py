@@ -60,7 +60,7 @@ def doctor(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SOURCE]", help="As for monoloc fly; point the camera at the room.", show_default=False
+            metavar="SOURCE", help="As for monoloc fly; point the camera at the room.", show_default=False
         ),
     ] = None,
     intrinsics: IntrinsicsOption = None,

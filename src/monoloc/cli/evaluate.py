@@ -33,6 +33,7 @@ def evaluate(
     trajectory: Annotated[
         Path,
         typer.Argument(
+            metavar="TRAJECTORY",
             help="TUM trajectory (t tx ty tz qx qy qz qw), or .csv of localize or fly, without its lost frames.",
             show_default=False,
         ),

@@ -28,7 +28,7 @@ _Checksums = TypeAdapter(dict[str, str])
 
 
 def fetch(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Recording; none lists them.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Recording; none lists them.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to put it into, under its name.")] = Path(),
     accept_terms: Annotated[
         bool, typer.Option("--accept-terms", help="The recording's terms, which are shown, are accepted.")

@@ -68,7 +68,7 @@ def fly(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SOURCE]",
+            metavar="SOURCE",
             help="camera:0, picamera, realsense, oak, rtsp://..., - (motion JPEG on standard input), or a recording. "
             "[the file's, else camera:0]",
             show_default=False,
@@ -82,7 +82,8 @@ def fly(
         typer.Option(
             "--start",
             metavar=METAVAR,
-            help="First camera pose in a room, or 'truth' for the recording's; without it, the map is searched.",
+            help="First camera pose in a room; 'unknown', as without it, searches the map; 'truth' takes the "
+            "recording's first pose.",
         ),
     ] = None,
     start_error_cm: Annotated[
@@ -136,9 +137,9 @@ def fly(
 ) -> None:
     """Localise a live camera, and send its pose to an autopilot.
 
-    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; its files are then complete. A file can hold all
-    options but the last ones; options on the command line take precedence. In a place of several rooms, the camera
-    is found in one of them and followed through doors.
+    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; its files are then complete. A flight file can hold
+    all options but --settings, --align and those from --view on; options on the command line take precedence. In a
+    place of several rooms, the camera is found in one of them and followed through doors.
 
     \b
     Examples:

@@ -63,7 +63,7 @@ from monoloc.viz.viewer import run_viewer
 
 
 def localize_command(
-    bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build.", show_default=False)],
     source: SourceArgument,
     frames: FramesOption = "::",
     require_signature: RequireSignatureOption = None,

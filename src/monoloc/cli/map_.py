@@ -54,7 +54,10 @@ app.command()(update)
 @app.command()
 def fit(
     source: Annotated[
-        str, typer.Argument(help="Recording, or cloud (ply, pcd, xyz, txt, csv, npz, points3D).", show_default=False)
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="Recording, or cloud (ply, pcd, xyz, txt, csv, npz, points3D).", show_default=False
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Map to write, NAME.npz.")],
     frames: FramesOption = "::",
@@ -97,7 +100,7 @@ def fit(
 
 @app.command()
 def compare(
-    bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build.", show_default=False)],
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Picture to write. [compare.png, without --view and --record]"),

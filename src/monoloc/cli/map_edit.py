@@ -73,7 +73,7 @@ OutOption = Annotated[Path | None, typer.Option("--out", "-o", help="Bundle to w
 @app.callback()
 def edit(
     context: typer.Context,
-    bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build.", show_default=False)],
 ) -> None:
     """Change the map of a bundle: what stands elsewhere, is new or is gone.
 
@@ -120,7 +120,10 @@ def remove_command(
 def add_command(
     context: typer.Context,
     cloud: Annotated[
-        Path, typer.Argument(help="Cloud (ply, pcd, xyz, txt, csv, npz, points3D), metres.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="CLOUD", help="Cloud (ply, pcd, xyz, txt, csv, npz, points3D), metres.", show_default=False
+        ),
     ],
     at: Annotated[
         str | None,
@@ -224,7 +227,9 @@ def extend_command(
 @app.command("merge")
 def merge_command(
     context: typer.Context,
-    other: Annotated[Path, typer.Argument(help="Bundle of a part that overlaps.", show_default=False)],
+    other: Annotated[
+        Path, typer.Argument(metavar="OTHER", help="Bundle of a part that overlaps.", show_default=False)
+    ],
     out: OutOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,

@@ -49,7 +49,7 @@ BundleArgument = Annotated[
 
 
 def info(
-    target: Annotated[Path, typer.Argument(help="Map (.npz) or bundle.", show_default=False)],
+    target: Annotated[Path, typer.Argument(metavar="MAP|BUNDLE", help="Map (.npz) or bundle.", show_default=False)],
     json: JsonOption = False,
 ) -> None:
     """Describe a map: its size and resolution; for a bundle also its parts, and how much of the room was seen.

@@ -55,7 +55,7 @@ def update(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="SOURCE...",
+            metavar="SOURCE",
             help="Recordings of flights; without any, the evidence of earlier ones is used.",
             show_default=False,
         ),

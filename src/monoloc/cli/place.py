@@ -36,14 +36,13 @@ from monoloc.progress import ConsoleProgress
 
 app = typer.Typer(help="Join rooms by doors, and localise across them.", no_args_is_help=True, rich_markup_mode=None)
 PlaceArgument = Annotated[Path, typer.Argument(metavar="PLACE", help="Place, NAME.place.", show_default=False)]
-RoomArgument = Annotated[str, typer.Argument(metavar="ROOM", help="Room, named as its bundle.", show_default=False)]
 
 
 @app.command()
 def new(
     place: PlaceArgument,
     bundles: Annotated[
-        list[Path], typer.Argument(metavar="BUNDLE...", help="Bundles from monoloc build.", show_default=False)
+        list[Path], typer.Argument(metavar="BUNDLE", help="Bundles from monoloc build.", show_default=False)
     ],
     require_signature: RequireSignatureOption = None,
     json: JsonOption = False,
@@ -71,10 +70,15 @@ def new(
 @app.command()
 def door(
     place: PlaceArgument,
-    a: RoomArgument,
-    b: RoomArgument,
+    a: Annotated[
+        str, typer.Argument(metavar="ROOM", help="Room on one side, named as its bundle.", show_default=False)
+    ],
+    b: Annotated[
+        str,
+        typer.Argument(metavar="NEXT_ROOM", help="Room on the other side, named as its bundle.", show_default=False),
+    ],
     source: Annotated[
-        str | None, typer.Argument(metavar="[SOURCE]", help="Recording of a walk through the door.")
+        str | None, typer.Argument(metavar="SOURCE", help="Recording of a walk through the door.")
     ] = None,
     frames: FramesOption = "::",
     same_world: Annotated[

@@ -52,7 +52,7 @@ class ByteLink:
             self._port: Port | None = open_port(self._address)
         except OSError as error:
             problem = f"cannot be opened ({error.strerror or error})"
-            fix = "check the address, the cable and your rights"
+            fix = "check the address, the cable and your permissions"
             raise DataError(url, problem, fix, page="how-to/mavlink") from error
         self.counts: Counter[str] = Counter()
         self._on_bytes, self._on_tick = on_bytes, on_tick

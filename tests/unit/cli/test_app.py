@@ -45,11 +45,22 @@ def test_help_describes_the_command_and_shows_valid_examples_first(
     description = re.search(r"^  [A-Z][^.]+\.$", text, re.MULTILINE)
     assert description is not None
     examples, options = text.index("Examples:"), text.index("Options:")
-    assert text.index(f"Usage: {name.replace(BUNDLE, '{bundle}')}") < description.start() < examples < options
+    assert text.index(f"Usage: {name.replace(BUNDLE, '{BUNDLE}')}") < description.start() < examples < options
     assert text[examples:].splitlines()[1].startswith(f"    {name}")
     assert "--json" in text
     for option in re.findall(r"(?<= )--?[a-z][a-z0-9-]*", text[examples:options]):
         assert re.search(rf"(^|[ ,/]){option}\b", text[options:], re.MULTILINE), option
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_arguments_of_a_usage_are_in_capitals_and_differ(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    usage = succeeds(capfd, *command, "--help").splitlines()[0].partition("[OPTIONS]")[2].split()
+    for argument in usage:
+        assert re.fullmatch(r"[{[][A-Z]\w*(\|[A-Z]\w*(\.toml)?)*[]}](\.\.\.)?", argument), usage
+    assert len(set(usage)) == len(usage)
 
 
 def test_help_lists_every_command(capfd: pytest.CaptureFixture[str]) -> None:
@@ -92,6 +103,8 @@ def test_group_without_a_command_shows_its_help(capfd: pytest.CaptureFixture[str
         ("soar", r"No such command 'soar'\. \(see: monoloc --help\)"),
         ("map fly", r"No such command 'fly'\. \(see: monoloc map --help\)"),
         ("build room --out x.monoloc --fast", "No such option: --fast.*build --help"),
+        ("build room --out", r"Option '--out' requires an argument\. \(see: monoloc build --help\)"),
+        ("map edit room.monoloc move --by", r"requires an argument\. \(see: monoloc map edit move --help\)"),
         ("build room", r"Missing option '--out' / '-o'\. \(see: monoloc build --help\)"),
         ("localize room.monoloc", r"Missing argument 'SOURCE'\. \(see: monoloc localize --help\)"),
         (
