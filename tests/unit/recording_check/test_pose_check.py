@@ -67,7 +67,7 @@ def test_a_fix_is_named_in_place_of_or_after_the_one_that_was_given(
     recording, matches = room
     assert recording.poses is not None
     stored = Altered(recording, poses=POSES[name].poses(recording.poses))
-    assert refusal(judged(corrected(stored, Fixes(poses=given)), matches)).endswith(f"; give --fix-poses {fix}")
+    assert refusal(checked(corrected(stored, Fixes(poses=given)), matches)).endswith(f"; give --fix-poses {fix}")
 
 
 def test_one_pose_for_all_frames_is_refused(room: tuple[Recording, Matches]) -> None:
