@@ -152,6 +152,11 @@ def test_range_is_named(room: tuple[Recording, Matches]) -> None:
     assert check.remedy == "give --fix-depth range"
 
 
+def test_z_that_is_taken_for_range_is_named(room: tuple[Recording, Matches]) -> None:
+    check = check_depth(corrected(room[0], Fixes(depth="range")))
+    assert check.problem is not None and check.problem.startswith("depth is z already")
+
+
 def test_depth_of_one_view_is_not_doubted(data_root: Path) -> None:
     """The edges of one view fit those of its image by chance; these were refused as 0.94 times as wide."""
     assert check_depth(opened(data_root, DESK, "0:15")).problem is None

@@ -53,7 +53,7 @@ class Fixes:
 
 
 class _Converted:
-    """A recording with poses and depth of its own; ``pose_fix`` is what was asked for to get these poses."""
+    """A recording with poses and depth of its own; ``pose_fix`` and ``depth_fix`` are what was asked for."""
 
     def __init__(
         self,
@@ -62,8 +62,9 @@ class _Converted:
         depth_map: _DepthMap | None,
         down_world: FloatArray | None = None,
         pose_fix: str | None = None,
+        depth_fix: str | None = None,
     ) -> None:
-        self.source, self.pose_fix, self._depth_map = source, pose_fix, depth_map
+        self.source, self.pose_fix, self.depth_fix, self._depth_map = source, pose_fix, depth_fix, depth_map
         self.name, self.camera = source.name, source.camera
         self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
         self.poses, self.has_depth = poses, source.has_depth
@@ -120,6 +121,15 @@ def without_pose_fix(recording: Recording) -> tuple[str, Recording] | None:
     return None
 
 
+def given_depth_fix(recording: Recording) -> str | None:
+    """The fix of its depth that was asked for; None if none was."""
+    while isinstance(recording, Selection | Turned | _Converted):
+        if isinstance(recording, _Converted) and recording.depth_fix is not None:
+            return recording.depth_fix
+        recording = recording.source
+    return None
+
+
 def _with_pose_fixes(recording: Recording, fixes: PoseFixes, pose_fix: str) -> Recording:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses to fix", "leave out --fix-poses")
@@ -143,7 +153,7 @@ def with_depth_fix(recording: Recording, name: str) -> Recording:
     if name == "registered":
         return _as_registered(recording)
     depth_map = _depth_map(name, recording.camera)
-    return _Converted(recording, recording.poses, depth_map, recorded_down(recording))
+    return _Converted(recording, recording.poses, depth_map, recorded_down(recording), depth_fix=name)
 
 
 def _depth_map(name: str, camera: Camera) -> _DepthMap:

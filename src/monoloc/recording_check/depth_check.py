@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.corrected import DEPTH_FIXES, DepthFix, is_seven_scenes, with_depth_fix
+from monoloc.io.corrected import DEPTH_FIXES, DepthFix, given_depth_fix, is_seven_scenes, with_depth_fix
 from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
 from monoloc.supervision.distinct_views import DistinctViews
 
@@ -19,7 +19,8 @@ _FRAMES = 16
 _LEAST_FRAMES = 6  # in which a quantity is measured
 
 # Planes: of z read as z, the largest holds 1.5 to 2.6 times the points of the same depth read as range (RedKitchen
-# 0:200, desk 0:350), in every frame.
+# 0:200, desk 0:350), in every frame; z taken for range and converted, 1.4 to 3.4 times fewer than as it was (parts of
+# both, the rendered living room).
 _POINTS, _TRIALS, _LEAST_POINTS = 1500, 150, 300
 _PLANE_TOLERANCE = 0.01  # of depth
 _FLATTER, _AGREEING = 1.25, 0.8  # median ratio, and share of the frames that are flatter
@@ -48,12 +49,14 @@ class DepthCheck:
     Attributes:
         coverage: mean share of pixels with depth.
         median_m: median depth.
-        flatness: factor by which planes are flatter if the depth is taken as range; None if unknown.
+        flatness: factor by which planes are flatter if the depth is taken as range, or no longer is where it was
+            to be; None if unknown.
         edges: strength of the image's gradient at depth's edges, 1 as anywhere; None if unknown.
         misfit: how depth's edges fit those of the images, where the depth is not registered; None where it is.
         zoom: factor about the image's centre that brings depth's edges there; None where that takes no zoom.
         fix: key of ``DEPTH_FIXES`` under which the depth fits; None if it fits as it is, or if none is known.
         has_few_views: whether the camera hovers in one or two views.
+        was_z: whether depth was z that was to be taken as range.
     """
 
     coverage: float
@@ -64,17 +67,20 @@ class DepthCheck:
     zoom: float | None = None
     fix: DepthFix | None = None
     has_few_views: bool = False
+    was_z: bool = False
 
     @property
     def is_certain(self) -> bool:
         """Whether what is wrong is no accident of one view."""
-        return not self.has_few_views or self.coverage == 0.0 or self.fix == "range"
+        return not self.has_few_views or self.coverage == 0.0 or self.fix == "range" or self.was_z
 
     @property
     def problem(self) -> str | None:
         """What is wrong, for a message."""
         if self.coverage == 0.0:
             return "no pixel has depth"
+        if self.was_z:
+            return f"depth is z already: planes are {self.flatness:.1f} times as flat without --fix-depth range"
         if self.fix == "range":
             return f"depth is {DEPTH_FIXES['range']}: planes are {self.flatness:.1f} times as flat"
         if self.misfit is not None:
@@ -87,6 +93,8 @@ class DepthCheck:
     def remedy(self) -> str:
         if self.coverage == 0.0:
             return "record within the sensor's range; of an app's depth, only that of the highest confidence counts"
+        if self.was_z:
+            return "leave out --fix-depth range"
         if self.fix is not None:
             return f"give --fix-depth {self.fix}"
         if self.misfit in _FLIPS:
@@ -110,7 +118,8 @@ def check_depth(recording: Recording) -> DepthCheck:
     median_m = float(np.median(values)) if len(values) else float("nan")
     if scale_sd_of(recording) is not None:
         return DepthCheck(coverage, median_m, flatness=None, edges=None)
-    flatness, is_range = _flatness_as_range(recording, depths)
+    was_converted = given_depth_fix(recording) == "range"
+    flatness, is_other = _flatness_otherwise(recording, depths, was_converted)
     images = [_relative_gradient(recording.color(index)) for index in chosen]
     aligned = _Alignment(recording, depths, images)
     check = DepthCheck(
@@ -120,10 +129,11 @@ def check_depth(recording: Recording) -> DepthCheck:
         aligned.stated,
         aligned.misfit,
         aligned.zoom,
-        "range" if is_range else None,
+        "range" if is_other and not was_converted else None,
+        was_z=is_other and was_converted,
         has_few_views=recording.poses is not None and _views(recording.poses[chosen]) < _LEAST_VIEWS,
     )
-    if aligned.misfit is None or aligned.misfit in _FLIPS or is_range:
+    if aligned.misfit is None or aligned.misfit in _FLIPS or is_other:
         return check
     name: DepthFix = "registered" if is_seven_scenes(recording) else "kinect"
     fixed = with_depth_fix(recording, name)
@@ -151,10 +161,16 @@ def _views(poses: FloatArray) -> int:
     return sum(views.is_new(pose) for pose in poses)
 
 
-def _flatness_as_range(recording: Recording, depths: list[NDArray[np.float32]]) -> tuple[float | None, bool]:
-    """Median ratio of planar points, depth taken as range over depth taken as z, and whether it is range."""
+def _flatness_otherwise(
+    recording: Recording, depths: list[NDArray[np.float32]], was_converted: bool
+) -> tuple[float | None, bool]:
+    """Median ratio of planar points, depth taken as range over depth as it is, and whether it is range.
+
+    The same without the conversion from range, if it ``was_converted``.
+    """
     rays = recording.camera.pixel_rays().reshape(-1, 3)
-    z_per_range = 1.0 / np.linalg.norm(rays, axis=1)
+    range_per_z = np.linalg.norm(rays, axis=1)
+    otherwise = range_per_z if was_converted else 1.0 / range_per_z
     ratios = []
     for depth in depths:
         known = np.flatnonzero(depth > 0.0)
@@ -162,7 +178,7 @@ def _flatness_as_range(recording: Recording, depths: list[NDArray[np.float32]]) 
             continue
         chosen = known[:: max(1, len(known) // _POINTS)]
         points = rays[chosen] * depth.reshape(-1)[chosen, None].astype(np.float64)
-        ratios.append(_planar_share(points * z_per_range[chosen, None]) / _planar_share(points))
+        ratios.append(_planar_share(points * otherwise[chosen, None]) / _planar_share(points))
     if len(ratios) < _LEAST_FRAMES:
         return None, False
     ratio = float(np.median(ratios))

@@ -13,6 +13,7 @@ from altered_recordings import Altered, Image, range_of
 from monoloc.errors import DataError
 from monoloc.geometry import invert
 from monoloc.io.corrected import Fixes, corrected
+from monoloc.io.recording import Selection
 from monoloc.io.registration import DepthRegistration
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.io.seven_scenes import T_COLOR_DEPTH
@@ -76,6 +77,13 @@ def test_depth_without_a_value_is_refused(right: RoomRecording) -> None:
         require_registered_z("walk", check)
     depth = next(each for each in inspect_recording(empty).findings if each.name == "depth")
     assert (depth.level, depth.value) == ("bad", "0% of pixels")
+
+
+def test_depth_along_z_that_is_taken_for_range_is_named(right: RoomRecording) -> None:
+    wrong = Selection(corrected(right, Fixes(depth="range")), range(len(right)))
+    problem = r"^walk: depth is z already: planes are [\d.]+ times as flat without --fix-depth range"
+    with pytest.raises(DataError, match=rf"{problem}; leave out --fix-depth range$"):
+        require_registered_z("walk", check_depth(wrong))
 
 
 def test_range_is_named_and_fixed(right: RoomRecording) -> None:
