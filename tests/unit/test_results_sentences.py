@@ -479,6 +479,11 @@ def thread_ratio(room: str) -> float:
     return median_of(timed(room, 2), "median_ms") / median_of(timed(room, 1), "median_ms")
 
 
+def over_before(threads: int) -> float:
+    """Median step at the desk over that of 3324d07b: 20.5 and 14.6 ms."""
+    return median_of(timed("desk", threads), "median_ms") / (20.5, 14.6)[threads - 1]
+
+
 BUDGET: tuple[Sentence, ...] = (
     (
         "its median is {} times that with one thread in RedKitchen and {} times at the desk",
@@ -489,6 +494,8 @@ BUDGET: tuple[Sentence, ...] = (
         [number for name in ("p95_ms", "p99_ms") for number in over_builds(timed("RedKitchen", 2, 10), name)],
     ),
     ("**In RedKitchen, {} of {} builds keep a budget", [that_keep(15, "RedKitchen", 2, "p99_ms"), 3]),
+    ("There, {} of {} builds keep a budget of 15 ms in 95 %", [that_keep(15, "desk", 2, "p95_ms"), 3]),
+    ("At the desk, steps take {} (one thread) and {} times (two) as long", [over_before(1), over_before(2)]),
     (
         "raise the RMSE from {} to {} cm in RedKitchen and from {} to {} cm at the desk",
         [
@@ -503,7 +510,7 @@ BUDGET: tuple[Sentence, ...] = (
 def test_budgets_are_kept_no_further() -> None:
     assert that_keep(15, "RedKitchen", 1, "p99_ms") == that_keep(15, "RedKitchen", 2, "p99_ms")
     assert that_keep(10, "RedKitchen", 2, "p99_ms") == that_keep(10, "RedKitchen", 1, "p95_ms") == 0
-    assert sum(that_keep(ms, "desk", threads, "p95_ms") for ms in (10, 15) for threads in (1, 2)) == 0
+    assert that_keep(10, "desk", 2, "p95_ms") == that_keep(15, "desk", 1, "p95_ms") == 0
     for room in ("RedKitchen", "desk"):
         assert values(timed(room, 1), "rmse_cm") == values(timed(room, 2), "rmse_cm")
 
@@ -523,7 +530,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "two cores of an AMD EPYC with AVX-512": "a name",
     "**A budget of 10 ms is not kept in 99 % of": "a name",
     "of 15 ms in 99 % of their steps": "checked without a number",
-    "a budget of 10 or 15 ms in 95 %": "checked without a number",
+    "no build keeps it in 95 %": "checked without a number",
     "7-Scenes": "a name",
     "[400 frames": "of the recording",
     "500 frames by hand": "of the recording",
