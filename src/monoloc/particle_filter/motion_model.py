@@ -24,8 +24,8 @@ class MotionConfig(BaseModel):
         speed_sd_m_s, turn_sd_rad_s: for frames without odometry: standard deviation of the velocity per axis. The
             velocity is redrawn after every frame that constrains the pose and constant while none does.
         translation_sd_m, translation_sd_ratio: odometry's translation noise, per axis: constant and share of
-            the distance moved, if many corners agree with it; with few, both are larger. Of a faster camera than
-            16 Hz, a second and a distance have the variance that they have at 16 Hz.
+            the distance moved, if many corners agree with it; with few, both are larger. Both are of one frame; a
+            camera above 16 Hz has the variance of one at 16 Hz in a second, and over a distance.
         rotation_sd_rad, rotation_sd_ratio: its rotation noise, likewise.
         log_scale_correlation: correlation of the depth's log-scale over one second.
     """
@@ -42,7 +42,7 @@ class MotionConfig(BaseModel):
 
 
 def share_of_frame(elapsed_s: float) -> float:
-    """As how much of a frame an image counts, by the seconds since the last: images of a fast camera share errors."""
+    """How much of a frame an image counts as, by the seconds since the last: images of a fast camera share errors."""
     return min(1.0, max(elapsed_s, _LEAST_S) / _FRAME_S)
 
 
@@ -59,6 +59,7 @@ def motion_sd(
     Args:
         motion: of the odometry; None for an unknown constant velocity over ``time_since_update_s + elapsed_s``, of
             whose spread the last ``elapsed_s`` is returned. So is the translation's where only the rotation is known.
+        elapsed_s: since the previous frame.
         time_since_update_s: from the last frame that constrained the pose to the previous one.
     """
     equivalent_s = float(np.sqrt((time_since_update_s + elapsed_s) ** 2 - time_since_update_s**2))
