@@ -16,6 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from hover import noisy
 from rendered_flights import PHONE, RenderedRoom, print_table
 
 from monoloc.bundle import Bundle, read_bundle
@@ -27,7 +28,6 @@ from monoloc.start import Start
 
 RATES_HZ, HOVER_HZ, HOVER_S, SETTLED_S = (30.0, 15.0, 7.5, 3.75), (60.0, 30.0, 15.0, 5.0), 10.0, 3.0
 CAMERA = PHONE.resized(240, 180)
-GREY_LEVELS = 3.0  # standard deviation of the noise while hovering
 
 
 def flown(
@@ -44,10 +44,7 @@ def flown(
         localizer = Localizer(bundle, recording.camera, start, settings, seed=rng)
         for number, index in enumerate(indices):
             color = recording.color(index)
-            if hovers:
-                noisy = color + rng.normal(0.0, GREY_LEVELS, color.shape)
-                color = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-            step = localizer.step(color, 1.0 / rate_hz if number else 0.0)
+            step = localizer.step(noisy(color, rng) if hovers else color, 1.0 / rate_hz if number else 0.0)
             if number >= SETTLED_S * rate_hz:
                 truth.append(recording.poses[index])
                 estimates.append(step.estimate)

@@ -26,18 +26,19 @@ from monoloc.step import Step
 from monoloc.supervision.state import VOUCHED_FOR
 
 IMAGES, RATE_HZ = 150, 15.0
-GREY_LEVELS = 3.0  # standard deviation of the noise
+_GREY_LEVELS = 3.0  # standard deviation of the noise
+
+
+def noisy(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """The image (H, W, 3) as a camera that stands still sees it once more."""
+    return np.clip(np.rint(image + rng.normal(0.0, _GREY_LEVELS, image.shape)), 0, 255).astype(np.uint8)
 
 
 def hover(bundle: Bundle, recording: Recording, index: int) -> list[Step]:
     assert recording.poses is not None
-    image, rng = recording.color(index).astype(np.float64), np.random.default_rng(0)
+    image, rng = recording.color(index), np.random.default_rng(0)
     localizer = Localizer(bundle, recording.camera, Start.disturbed(recording.poses[index], rng), seed=rng)
-
-    def noisy() -> NDArray[np.uint8]:
-        return np.clip(np.rint(image + rng.normal(0.0, GREY_LEVELS, image.shape)), 0, 255).astype(np.uint8)
-
-    return [localizer.step(noisy(), 1.0 / RATE_HZ if number else 0.0) for number in range(IMAGES)]
+    return [localizer.step(noisy(image, rng), 1.0 / RATE_HZ if number else 0.0) for number in range(IMAGES)]
 
 
 def rows(bundle_path: str, source: str, *frames: str) -> Iterator[dict[str, object]]:

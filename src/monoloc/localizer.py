@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from copy import copy
@@ -22,14 +21,12 @@ from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks
 from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
-from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
+from monoloc.likelihood.weighing import FrameWeighing
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
-from monoloc.particle_filter.motion_model import share_of_frame
 from monoloc.particle_filter.particles import Particles
-from monoloc.particle_filter.tempering import tempered_update
 from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
@@ -123,7 +120,7 @@ class Localizer:
         self._state: State = "tracking"
         self._index, self._is_tracking = 0, False
         self._has_landmark_pose = False  # near the belief, when landmarks were last measured
-        self._scan_age_s = math.inf  # since a scan was last weighed
+        self._weighing = FrameWeighing(self._likelihood, config.likelihood, self._rng)
         self._held: tuple[IntegrityMonitor, Mode] | None = None  # at the last image, while others repeat it
         # A start is only a claim about where the camera is. What a search finds is evidence itself.
         can_be_confirmed = len(bundle.landmarks) > 0 or bundle.integrity.scans_can_confirm
@@ -278,25 +275,15 @@ class Localizer:
 
         During a search, scan and corners are no evidence about the pose.
         """
-        weigh = self._weighing(observation, relocalization.mode)
+        weigh = self._measurement_update(observation, relocalization.mode)
         with self._stage("weighing"):
             particle_estimate = self._tracker.update(relocalization.particles, weigh, count)
             return particle_estimate, self._mean_log_likelihood(observation.scan, particle_estimate)
 
-    def _weighing(self, observation: Observation, mode: Mode) -> Callable[[Particles], Particles]:
+    def _measurement_update(self, observation: Observation, mode: Mode) -> Callable[[Particles], Particles]:
         if mode is Mode.SEARCHING:
             return lambda particles: particles
-        self._scan_age_s += observation.elapsed_s
-        of_scan, of_corners = share_of_frame(self._scan_age_s), share_of_frame(observation.elapsed_s)
-        if len(observation.scan):
-            self._scan_age_s = 0.0
-
-        def weigh(particles: Particles) -> Particles:
-            config = self._config.likelihood
-            particles = weigh_depth_image(particles, observation.scan, self._likelihood, config, of_scan)
-            return weigh_corners(particles, observation.corners, self._likelihood, config, of_corners)
-
-        return lambda particles: tempered_update(particles, weigh, self._rng)
+        return self._weighing.begin(observation.scan, observation.corners, observation.elapsed_s)
 
     def _mean_log_likelihood(self, scan: Scan, particle_estimate: Estimate) -> float:
         """Of the scan at the particles' pose, which shares the depth's bias; NaN for an empty scan."""

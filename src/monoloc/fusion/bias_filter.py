@@ -28,7 +28,8 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_l
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
-from monoloc.particle_filter.motion_model import MotionConfig, few_corners_factor, motion_sd, share_of_frame
+from monoloc.particle_filter.frame_share import share_of_frame
+from monoloc.particle_filter.motion_model import MotionConfig, few_corners_factor, motion_sd
 
 # Errors of odometry are correlated for a second or so. Treated as independent from frame to frame, their standard
 # deviations are inflated by this factor.

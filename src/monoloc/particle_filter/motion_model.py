@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.geometry import FloatArray, rotation_angle, se3_exp
 from monoloc.odometry.motion import Motion
+from monoloc.particle_filter.frame_share import share_of_frame
 from monoloc.particle_filter.particles import Particles
 
 # The fewer corners agree with a motion, the less exact it is: a power law. Median error of the rotation in 800 steps
 # of two real recordings: 0.2 degrees by more than 200 of at most 300 corners, 0.5 by 100 to 150, 0.9 by 70 to 100.
 _ENOUGH_INLIERS, _INLIER_POWER = 200, 1.5
-_FRAME_S, _LEAST_S = 0.06, 1e-3  # between images that count as frames of their own, and at least
 
 
 class MotionConfig(BaseModel):
@@ -39,11 +39,6 @@ class MotionConfig(BaseModel):
     rotation_sd_rad: float = Field(0.0015, gt=0.0, le=10.0)
     rotation_sd_ratio: float = Field(0.05, ge=0.0, le=10.0)
     log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
-
-
-def share_of_frame(elapsed_s: float) -> float:
-    """How much of a frame an image counts as, by the seconds since the last: images of a fast camera share errors."""
-    return min(1.0, max(elapsed_s, _LEAST_S) / _FRAME_S)
 
 
 def few_corners_factor(inliers: int) -> float:

@@ -13,7 +13,7 @@ from monoloc.recording_check.reprojection import Reprojection
 
 _FINE_STEP = 0.0025  # of the logarithm
 _RESAMPLES = 200
-_NOTHING = 0.02  # share of the motion; smaller errors are hardly told from none
+_NOTHING = 0.02  # share of the motion; smaller errors are as good as none
 # Standard deviation of the logarithm in 26 parts of two rooms beyond what resampling says: poses drift.
 _DRIFT_SD = 0.02
 _SCALES, _FOCALS = np.linspace(-9.5, 9.5, 96), np.linspace(-0.7, 0.7, 29)  # logarithms that are tried
