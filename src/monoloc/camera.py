@@ -145,6 +145,10 @@ class Camera:
         """Whether the camera differs from a pinhole."""
         return self._lens.is_distorted
 
+    def of_width(self, width: int) -> Camera:
+        """Camera of the same image resampled to a width, with the height that keeps its proportions."""
+        return self.resized(width, max(1, round(width * self.height / self.width)))
+
     def resized(self, width: int, height: int) -> Camera:
         """Camera of the same image resampled to width x height; the borders of the two images coincide."""
         sx, sy = width / self.width, height / self.height

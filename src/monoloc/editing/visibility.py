@@ -39,7 +39,7 @@ class DepthBuffer:
     """
 
     def __init__(self, camera: Camera, pose: FloatArray, points: FloatArray) -> None:
-        self._camera = camera.resized(_COLUMNS, max(1, round(_COLUMNS * camera.height / camera.width)))
+        self._camera = camera.of_width(_COLUMNS)
         self._T_camera_world = invert(pose)
         self.depth_m = np.full(self._camera.height * self._camera.width, np.inf)
         cell, depth = self._cells(points)

@@ -12,7 +12,9 @@ from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
 
-_WIDTH = 160  # of the rendered image; about that of a network's input, so that the supervision has few gaps
+RENDERED_WIDTH = 160
+"""Of the rendered image, pixels; about that of a network's input, so that the supervision has few gaps."""
+
 _CELL_PX = 4.0  # larger than the point spacing of a 3 cm cloud at room distances, so that surfaces have no gaps
 _SAME_SURFACE = 1.05
 _GAP = 1.4  # spacings that a cell must be wide: points are not evenly spaced
@@ -59,21 +61,20 @@ def map_depth(
     """
     poses, camera = recording.poses, recording.camera
     assert poses is not None
-    spacing_m = 0.0 if is_dense else _spacing_m(cloud)
+    spacing_m = 0.0 if is_dense else point_spacing_m(cloud)
     return lambda index: cloud_depth(cloud, camera, poses[index], spacing_m)
 
 
 def cloud_depth(
-    cloud: FloatArray, camera: Camera, T_world_camera: FloatArray, spacing_m: float | None = None
+    cloud: FloatArray, camera: Camera, T_world_camera: FloatArray, spacing_m: float
 ) -> NDArray[np.float32]:
     """Depth (H, W) m of a cloud (N, 3) that a camera sees, as :func:`map_depth` renders it.
 
     Args:
-        spacing_m: of the cloud's points on surfaces; None measures it.
+        spacing_m: of the cloud's points on surfaces: :func:`point_spacing_m`, measured once for all poses.
     """
-    spacing_m = _spacing_m(cloud) if spacing_m is None else spacing_m
     size = (camera.width, camera.height)
-    camera = camera.resized(_WIDTH, max(1, round(_WIDTH * size[1] / size[0])))
+    camera = camera.of_width(RENDERED_WIDTH)
     points = transform(invert(T_world_camera), cloud)
     points = points[camera.in_sight(points)]
     pixels = np.round(camera.project(points)).astype(np.int64)
@@ -97,7 +98,7 @@ def _is_visible(
     """
     is_visible, hides = np.ones(len(z), dtype=np.bool_), np.ones(len(z), dtype=np.bool_)
     cell_px, tolerance_m = _CELL_PX, 0.0
-    while hides.any() and cell_px < 2.0 * _WIDTH:
+    while hides.any() and cell_px < 2.0 * RENDERED_WIDTH:
         # The last cell takes what is left: a narrow one at the border would have gaps.
         columns, rows = (max(1, int(size / cell_px)) for size in (camera.width, camera.height))
         across, down = (
@@ -114,7 +115,7 @@ def _is_visible(
     return is_visible
 
 
-def _spacing_m(cloud: FloatArray) -> float:
+def point_spacing_m(cloud: FloatArray) -> float:
     """Spacing of a cloud's points (N, 3) on surfaces, by the number of points in a cell that one passes through."""
     if len(cloud) == 0:
         return _SPACING_CELL_M

@@ -9,7 +9,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import evenly_spaced
-from monoloc.map.depth_rendering import cloud_depth
+from monoloc.map.depth_rendering import RENDERED_WIDTH, cloud_depth, point_spacing_m
 from monoloc.map.surface import surface_points
 
 _SEEN_POINTS, _SEEN_VIEWS = 50_000, 30  # of the map, and of the build's cameras, that tell how near these looked
@@ -63,12 +63,11 @@ class DepthError:
 
 def nearest_depth_m(bundle: Bundle) -> float:
     """Depth than which the build's cameras saw 1 % nearer, by the map; 0 if the bundle keeps no reference poses."""
-    cloud, poses = (
-        surface_points(bundle.original, _SEEN_POINTS, np.random.default_rng(0)),
-        bundle.reference_poses.poses,
-    )
+    poses = bundle.reference_poses.poses
     if len(poses) == 0:
         return 0.0
-    views = [cloud_depth(cloud, bundle.camera, pose) for pose in poses[evenly_spaced(len(poses), _SEEN_VIEWS)]]
+    cloud = surface_points(bundle.original, _SEEN_POINTS, np.random.default_rng(0))
+    camera, spacing_m = bundle.camera.of_width(RENDERED_WIDTH), point_spacing_m(cloud)
+    views = [cloud_depth(cloud, camera, pose, spacing_m) for pose in poses[evenly_spaced(len(poses), _SEEN_VIEWS)]]
     seen = np.concatenate([view[view > 0.0] for view in views])
     return float(np.percentile(seen, _NEAREST_PERCENT)) if len(seen) else 0.0

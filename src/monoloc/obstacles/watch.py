@@ -11,7 +11,7 @@ from monoloc.obstacles.local_occupancy import LocalOccupancy, Surroundings
 from monoloc.obstacles.map_knowledge import MapKnowledge
 from monoloc.step import Step
 
-_MAP_AFTER_S = 2.0  # in a room that was entered in flight; a map takes a third of a second to become obstacles
+_MAP_AFTER_S = 2.0  # in a room that was entered in flight; a slow core takes half a second to prepare a map
 
 
 class ObstacleWatch:

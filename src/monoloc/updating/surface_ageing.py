@@ -18,7 +18,7 @@ from monoloc.editing.alignment import known
 from monoloc.editing.paired_map import cloud_of
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.map.cloud import voxel_thin
-from monoloc.map.depth_rendering import cloud_depth
+from monoloc.map.depth_rendering import cloud_depth, point_spacing_m
 from monoloc.map.surface import surface_points
 from monoloc.updating.observed_flight import ObservedFlight, UsableFrame
 from monoloc.updating.tally import Tally, bernoulli_nats
@@ -91,7 +91,8 @@ def surfaces_after(
     if not seeing:
         return surfaces
     cloud = surface_points(bundle.original, _MAP_POINTS, rng)
-    views = [_view(frame, flight, cloud, rules) for frame in seeing]
+    spacing_m = point_spacing_m(cloud)
+    views = [_view(frame, flight, cloud, spacing_m, rules) for frame in seeing]
     gone, through = _counted([view.gone for view in views])
     surfaces = _with_cells(surfaces, gone, _counted([view.hit for view in views])[0], rules)
     seen_kept = _counts_of(surfaces.gone, *_counted([view.kept for view in views]))
@@ -128,9 +129,11 @@ def _after(tally: Tally, changed: NDArray[np.int64], unchanged: NDArray[np.int64
     return tally.after_flight(expected, changed, bernoulli_nats(expected, changed, *rates), rules)
 
 
-def _view(frame: UsableFrame, flight: ObservedFlight, cloud: FloatArray, rules: UpdateRules) -> _View:
+def _view(
+    frame: UsableFrame, flight: ObservedFlight, cloud: FloatArray, spacing_m: float, rules: UpdateRules
+) -> _View:
     camera, measured, nearest, farthest = _compared(frame)
-    mapped = cloud_depth(cloud, camera, frame.pose)
+    mapped = cloud_depth(cloud, camera, frame.pose, spacing_m)
     map_nearest, map_farthest = _range(mapped)
     is_known = (nearest > 0.0) & (map_nearest > 0.0)
     error_m = flight.error_m(measured.astype(np.float64))
@@ -150,7 +153,7 @@ def _compared(
     """Camera, depth, and the nearest and the farthest depth around each pixel, of a frame at the size compared."""
     assert frame.depth is not None
     full = frame.depth.camera
-    camera = full.resized(_COLUMNS, max(1, round(_COLUMNS * full.height / full.width)))
+    camera = full.of_width(_COLUMNS)
     size = (camera.width, camera.height)
     measured = np.asarray(cv2.resize(frame.depth.depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
     return camera, measured, *_range(measured)

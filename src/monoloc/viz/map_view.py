@@ -15,7 +15,7 @@ from monoloc.editing.edit_history import DrawnEdit
 from monoloc.errors import SettingError
 from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.geometry import FloatArray, invert, transform
-from monoloc.map.depth_rendering import cloud_depth
+from monoloc.map.depth_rendering import cloud_depth, point_spacing_m
 from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.picture import BLUE, GREY, INK, ORANGE, VERMILION, picture
 
@@ -106,8 +106,8 @@ def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera,
         DataError: the file cannot be written.
         SettingError: the camera sees nothing of the maps.
     """
-    camera = camera.resized(_VIEW_PX, max(1, round(_VIEW_PX * camera.height / camera.width)))
-    images = [cloud_depth(view.cloud, camera, T_world_camera) for view in views]
+    camera = camera.of_width(_VIEW_PX)
+    images = [cloud_depth(view.cloud, camera, T_world_camera, point_spacing_m(view.cloud)) for view in views]
     seen = np.concatenate([image[image > 0.0] for image in images])
     if len(seen) == 0:
         raise SettingError("pose", "shows nothing of the map", "give one that looks at it, such as --reference 0")

@@ -17,7 +17,7 @@ from monoloc.cli import map_looking
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import rotation_to_quaternion
 from monoloc.io.cloud_files import read_cloud
-from monoloc.map.depth_rendering import cloud_depth
+from monoloc.map.depth_rendering import cloud_depth, point_spacing_m
 from monoloc.map.mixture import GaussianMixture
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
@@ -115,7 +115,7 @@ def test_a_view_does_not_show_through_a_near_surface(
     clouds = []
     monkeypatch.setattr(map_looking, "plot_from_pose", lambda out, views, *view: clouds.append(views[0].cloud))
     succeeds(capfd, "map", "render", "near.monoloc", "--out", "a.png", "--pose", "0,0,0,0,0,0,1")
-    seen = cloud_depth(clouds[0], bundle.camera, np.eye(4))
+    seen = cloud_depth(clouds[0], bundle.camera, np.eye(4), point_spacing_m(clouds[0]))
     assert np.mean(seen > 1.0) < 0.02 and np.mean(seen > 0.0) > 0.2  # 0.5 with a twentieth of the points
 
 
