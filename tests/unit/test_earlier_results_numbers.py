@@ -29,7 +29,6 @@ BASELINES = table_of("baselines.csv")
 VARIANTS = table_of("adaptation-variants.csv")
 GRAVITY = chosen(table_of("gravity.csv"), room="living room")
 WITHOUT_ODOMETRY = table_of("without-odometry.csv")
-FLIGHTS = table_of("flights-of-earlier-versions.csv")
 KITCHEN, LIVING_ROOM = (json_of(f"reproduce-{room}.json")["figures"] for room in ("redkitchen", "living-room"))
 MEDIAN = ("median_cm", "median_min_cm", "median_max_cm")
 BASELINE_OF_ROW = {

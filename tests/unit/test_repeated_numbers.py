@@ -48,7 +48,7 @@ def in_living_room(light: str) -> float:
         ),
         (
             "docs/decisions/fusion.md",
-            "in [this one](../results.md#this-version), whose stated covariance is wider, {} are.",
+            "In [this version](../results.md#this-version), whose stated covariance is wider, {} are.",
             [total(flown("untuned", DESK_BEYOND), "silent_3_5_sigma")],
         ),
         (
