@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 _FEW_PARTICLES, _FEW_POINTS = 100, 100
-# Times of a stage that its cost is estimated from, the least number with which a level is chosen, and the percentile
-# that counts: of many times, single ones, in which the system did something else, do not.
+# Times of a stage that its cost is estimated from, the least number of each with which a level is chosen, and the
+# percentile that counts: of many times, single ones, in which the system did something else, do not.
 _KEPT, _LEAST_KEPT, _SLOW = 50, 2, 0.95
 # The level falls where it would have kept the budget with this share of it for so many frames, and rises at once.
 _CALM_SHARE, _CALM_FRAMES = 0.9, 50
@@ -102,7 +102,8 @@ class StepBudget:
             deque[float](maxlen=_KEPT) for _ in range(4)
         )
         self._calm_frames = 0
-        self.level = Level.FULL
+        self._is_chosen = False
+        self.level = max(Level)  # until it is known what the stages cost
 
     def begin(self) -> None:
         self._stage_ms = {}
@@ -128,15 +129,15 @@ class StepBudget:
             self._unit_ms.append(taken.get("weighing", 0.0) / _weighing_units(plan))
         if plan.has_landmarks:
             self._landmarks_ms.append(taken.get("landmarks", 0.0))
-        if len(self._rest_ms) >= _LEAST_KEPT:
+        if min(len(self._depth_ms), len(self._landmarks_ms)) >= _LEAST_KEPT:
             self._choose()
 
     def _choose(self) -> None:
-        if self._expected_ms(self.level) > self._budget_ms:
-            deeper = [level for level in Level if level > self.level]
-            kept = (level for level in deeper if self._expected_ms(level) <= self._budget_ms)
-            self.level = next(kept, max(deeper, default=self.level))
-            self._calm_frames = 0
+        if not self._is_chosen or self._expected_ms(self.level) > self._budget_ms:
+            possible = [level for level in Level if level > self.level or not self._is_chosen]
+            kept = (level for level in possible if self._expected_ms(level) <= self._budget_ms)
+            self.level = next(kept, max(Level))
+            self._is_chosen, self._calm_frames = True, 0
             return
         lighter = Level(max(0, self.level - 1))
         is_calm = self._expected_ms(lighter) <= _CALM_SHARE * self._budget_ms
