@@ -113,6 +113,13 @@ def with_trajectory(here: Path) -> None:
         ),
         (
             nothing,
+            ("localize", "room.monoloc", "flight", "--start-error-cm", "5"),
+            "--start-error-cm",
+            "has no effect without a start",
+            "give a start too",
+        ),
+        (
+            nothing,
             ("localize", "room.monoloc", "flight", "--without", "relocalization"),
             "--start",
             "is unknown, and the search for the camera is left out",

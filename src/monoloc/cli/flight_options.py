@@ -21,7 +21,7 @@ from monoloc.cli.common import (
     refuse_frames,
     stderr,
 )
-from monoloc.cli.start_option import UNKNOWN, start_of
+from monoloc.cli.start_option import UNKNOWN, check_start_errors, start_of
 from monoloc.config import override
 from monoloc.errors import DataError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
@@ -113,7 +113,7 @@ def flight_of(room: Path | None, settings: Path | None, **options: object) -> As
     names = {} if settings is None else _names_in(settings, given)
     with naming(names):
         # A start of the file that the command line takes back needs no other file, so its errors are left alone.
-        _check_start_errors(flight, given | (file.model_fields_set if file.start == UNKNOWN else set()))
+        check_start_errors(flight.start, given | (file.model_fields_set if file.start == UNKNOWN else set()))
     bundle = flight.room
     if bundle is None:
         where = "" if settings is None else f" and {settings} has no room"
@@ -121,13 +121,6 @@ def flight_of(room: Path | None, settings: Path | None, **options: object) -> As
     timed = {name: getattr(flight, name) for name in ("out", "mcap", "record")}
     changes = {name: Path(time.strftime(str(path))) for name, path in timed.items() if path and "%" in str(path)}
     return AskedFlight(bundle, flight.model_copy(update=changes), names, given | file.model_fields_set)
-
-
-def _check_start_errors(flight: FlightFile, given: Set[str]) -> None:
-    for name in ("start_error_cm", "start_error_deg"):
-        if flight.start == UNKNOWN and name in given:
-            option = "--" + name.replace("_", "-")
-            raise SettingError(option, "has no effect without a start", "give a start too, or leave it out")
 
 
 def note_of_mount(flight: FlightFile, stated: Set[str], measures_north: bool = False) -> Iterator[str]:

@@ -45,7 +45,14 @@ from monoloc.cli.output_checks import check_outputs, check_picture, check_viewin
 from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.cli.run_doubts import doubts_of
 from monoloc.cli.signature import RequireSignatureOption
-from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
+from monoloc.cli.start_option import (
+    METAVAR,
+    UNKNOWN,
+    StartErrorCmOption,
+    StartErrorDegOption,
+    check_start_errors,
+    start_of,
+)
 from monoloc.config import override
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import MonolocError
@@ -55,6 +62,7 @@ from monoloc.parts import parse_parts
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.sensor_depth import sensor_bundle
+from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc.step_budget import budget_line
 from monoloc.supervision.state import State
 from monoloc.trajectory_output import WritingViewer, check_trajectory, trajectory_output
@@ -76,8 +84,8 @@ def localize_command(
             "first pose with a random error.",
         ),
     ] = UNKNOWN,
-    start_error_cm: StartErrorCmOption = 10.0,
-    start_error_deg: StartErrorDegOption = 3.0,
+    start_error_cm: StartErrorCmOption = None,
+    start_error_deg: StartErrorDegOption = None,
     motion: Annotated[
         Literal["visual", "random-walk"] | None, typer.Option("--motion", help="Motion model. [visual]")
     ] = None,
@@ -142,6 +150,8 @@ def localize_command(
         check_trajectory(out, "--out")
     check_picture(plot, "--plot")
     check_viewing(view, record)
+    errors = {"start_error_cm": start_error_cm, "start_error_deg": start_error_deg}
+    check_start_errors(start, {name for name, value in errors.items() if value is not None})
     left_out = () if without is None else parse_parts(without)
     room, digest = read_bundle(bundle, require_signature), digest_of(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
@@ -157,8 +167,9 @@ def localize_command(
     rng = np.random.default_rng(seed)
     used = sensor_bundle(room) if depth == "sensor" else room
     first_pose = None if recording.poses is None else recording.poses[0]
-    error_rad = float(np.deg2rad(start_error_deg))
-    begin = start_of(start, used, first_pose, start_error_cm / 100.0, error_rad, rng)
+    error_m = START_ERROR_M if start_error_cm is None else start_error_cm / 100.0
+    error_rad = float(np.deg2rad(START_ERROR_DEG if start_error_deg is None else start_error_deg))
+    begin = start_of(start, used, first_pose, error_m, error_rad, rng)
     warn_of_poses(recording)  # takes a second, so all that can be refused has been
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from typing import Annotated
 
 import numpy as np
@@ -19,15 +20,33 @@ UNKNOWN, TRUTH = "unknown", "truth"
 """Values of the option beside a pose."""
 
 StartErrorCmOption = Annotated[
-    float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
+    float | None,
+    typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start; 10 without it."),
 ]
 StartErrorDegOption = Annotated[
-    float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
+    float | None,
+    typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start; 3 without it."),
 ]
 
 _MIN_ERROR_M, _MIN_ERROR_RAD = 0.03, 0.015  # lower bounds of the error of a start
 _MAX_COORDINATE_M = 1e6  # of a start; no map is larger
 _MOST_BEYOND_M = 10.0  # from the map to a start that is given as numbers
+
+
+def check_start_errors(start: str, given: Set[str]) -> None:
+    """Refuse an error of a start where there is none.
+
+    Args:
+        start: as for :func:`start_of`.
+        given: names of the settings that are given.
+
+    Raises:
+        SettingError: an error would have no effect.
+    """
+    for name in ("start_error_cm", "start_error_deg"):
+        if start == UNKNOWN and name in given:
+            option = "--" + name.replace("_", "-")
+            raise SettingError(option, "has no effect without a start", "give a start too, or leave it out")
 
 
 def start_of(
