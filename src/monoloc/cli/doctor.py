@@ -43,6 +43,7 @@ from monoloc.files import json_text, write_whole
 from monoloc.flight.autopilot import frames_of, gravity_of, tells_gravity
 from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_file import FlightFile
+from monoloc.flight.flight_inputs import OtherSensors
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.mount_check import MountCheck, MountErrors
 from monoloc.flight.preflight import LinkReport, Preflight
@@ -160,13 +161,11 @@ def _look(
                 frame_source,
                 outputs,
                 flight.settings.most_age_s,
-                gravity_of(flown, link, flight.settings),
-                lambda: time.monotonic() > end_s,
+                starting,
+                OtherSensors(gravity_of(flown, link, flight.settings)),
                 summary,
-                starting.find,
-                starting.begins,
-                in_place=made.in_place,
-            ).run()
+                made.in_place,
+            ).run(lambda: time.monotonic() > end_s)
     except DataError as error:
         if not is_live(flight.source):
             raise

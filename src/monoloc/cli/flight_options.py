@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Set
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Set
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
@@ -25,6 +23,7 @@ from monoloc.cli.start_option import UNKNOWN, check_start_errors, start_of
 from monoloc.config import override
 from monoloc.errors import DataError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
+from monoloc.flight.flight_inputs import Starting
 from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray
 from monoloc.image_turns import T_camera_turned, in_words
@@ -191,22 +190,6 @@ def _check_start(flight: FlightFile) -> None:
         raise SettingError("marker", problem, "leave markers out, or name the bundle of one room")
 
 
-@dataclass(frozen=True)
-class Starting:
-    """How a flight begins; arguments of :class:`~monoloc.localizer.Localizer` and
-    :class:`~monoloc.flight.flight_loop.Flight`.
-
-    Attributes:
-        start: of the localizer; without any meaning while it is ``waiting``.
-        find: tells a start from an image, by the markers.
-        begins: with a start, by a search, or only once a marker is seen.
-    """
-
-    start: Start | None
-    find: Callable[[NDArray[np.uint8]], Start | None]
-    begins: Literal["known", "searching", "waiting"]
-
-
 def starting_of(
     flight: FlightFile, bundle: Bundle | None, camera: Camera, first_pose: FloatArray | None, rng: np.random.Generator
 ) -> Starting:
@@ -222,7 +205,7 @@ def starting_of(
         SettingError: as :func:`monoloc.cli.start_option.start_of`.
     """
     if bundle is None:
-        return Starting(None, lambda color: None, "searching")
+        return Starting(None, begins="searching")
     markers = flight.markers
     find = (lambda color: None) if markers is None else MarkerLocalizer(markers, camera).start
     if flight.start == UNKNOWN and markers is not None and not bundle.supports_relocalization:

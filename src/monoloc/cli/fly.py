@@ -49,6 +49,7 @@ from monoloc.flight.autopilot import (
     turns_of,
 )
 from monoloc.flight.flight_file import FlightFile
+from monoloc.flight.flight_inputs import OtherSensors
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
 from monoloc.flight.flight_settings import FlightSettings
@@ -247,15 +248,12 @@ def fly(
                 frame_source,
                 outputs,
                 flight_settings.most_age_s,
-                gravity_of(flown, link, flight_settings),
-                lambda: stop() or (north is not None and north.is_done),
+                starting,
+                OtherSensors(gravity_of(flown, link, flight_settings), turns_of(link)),
                 summary,
-                starting.find,
-                starting.begins,
-                turns_of(link),
                 made.in_place,
             )
-            _run(loop, summary)
+            _run(loop, lambda: stop() or (north is not None and north.is_done), summary)
         if north is not None and not summary.failures:
             north_deg, sd_deg = north.north_deg()
             say(f"north_deg = {north_deg:.1f}     (write it into flight.toml; varied by {sd_deg:.1f}°)")
@@ -277,10 +275,10 @@ def _say_written(flight: FlightFile, summary: FlightSummary, say: Callable[[str]
             say(f"written: {path}")
 
 
-def _run(flight: Flight, summary: FlightSummary) -> None:
+def _run(flight: Flight, stop: Callable[[], bool], summary: FlightSummary) -> None:
     """Fly. An error that ends a flight after its first frame is kept, to be raised once its summary is printed."""
     try:
-        flight.run()
+        flight.run(stop)
     except MonolocError as error:
         if summary.frames == 0:
             raise

@@ -6,13 +6,14 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from operator import methodcaller
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, MonolocError
+from monoloc.flight.flight_inputs import OtherSensors, Starting
 from monoloc.flight.in_place import InPlace, Switch
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
@@ -206,14 +207,9 @@ class Flight:
         source: of frames.
         outputs: take every result, in this order.
         most_age_s: since its capture, beyond which a frame is dropped.
-        down_at: direction of gravity in the camera's frame at a time of capture, (3,); None where it is not known.
-        stop: says whether to stop; asked between frames.
+        starting: how the flight begins; its start is the localizer's.
+        sensors: what others than the camera tell.
         summary: is filled as the flight goes.
-        finds_start: tells a start from an image (H, W, 3), such as by a marker; asked while the state is lost.
-        begins: whether the localizer has a start (``known``), searches the room and asks ``finds_start``
-            (``searching``), or can do nothing before ``finds_start`` tells it (``waiting``).
-        motion_between: the camera's motion between two times of capture by another sensor; None where it is not
-            known.
         in_place: where in a place the last step was; None in a single room.
     """
 
@@ -224,32 +220,30 @@ class Flight:
         source: FrameSource,
         outputs: Sequence[FlightOutput],
         most_age_s: float,
-        down_at: Callable[[float], FloatArray | None],
-        stop: Callable[[], bool],
+        starting: Starting,
+        sensors: OtherSensors,
         summary: FlightSummary,
-        finds_start: Callable[[NDArray[np.uint8]], Start | None] = lambda color: None,
-        begins: Literal["known", "searching", "waiting"] = "known",
-        motion_between: Callable[[float, float], Motion | None] = lambda start_s, end_s: None,
         in_place: Callable[[], InPlace | None] = lambda: None,
     ) -> None:
         self._localizer, self._camera, self._source, self._outputs = localizer, camera, source, outputs
-        self._most_age_s, self._down_at, self._stop = most_age_s, down_at, stop
+        self._most_age_s, self._sensors, self._summary, self._in_place = most_age_s, sensors, summary, in_place
+        self._find_start = starting.find
+        self._is_lost, self._is_waiting = starting.begins != "known", starting.begins == "waiting"
         self._previous: LiveFrame | None = None
         self._start: Start | None = None
         self._sequence = -1
-        self._summary = summary
         self._failed: list[FlightOutput] = []
-        self._motion_between, self._in_place = motion_between, in_place
-        self._finds_start, self._is_waiting = finds_start, begins == "waiting"
-        self._is_lost = begins != "known"
 
-    def run(self) -> None:
+    def run(self, stop: Callable[[], bool]) -> None:
         """Localise every frame that is in time.
+
+        Args:
+            stop: says whether to stop; asked between frames.
 
         Raises:
             DataError: the camera's images are of another size, or cannot be read.
         """
-        while not self._stop():
+        while not stop():
             try:
                 frame = self._source.next(_WAIT_S)
             except EndOfStreamError:
@@ -277,7 +271,7 @@ class Flight:
     def _begins(self, frame: LiveFrame) -> bool:
         """Whether the frame can be localised, after a start was looked for in it, if that is needed."""
         self._check_size(frame)
-        self._start = self._finds_start(frame.color) if self._is_lost else None
+        self._start = self._find_start(frame.color) if self._is_lost else None
         if self._start is not None:
             self._localizer.reset(self._start)
             self._is_waiting = False
@@ -288,8 +282,8 @@ class Flight:
     def _localize(self, frame: LiveFrame) -> None:
         before_s = frame.captured_s if self._previous is None else self._previous.captured_s
         elapsed_s = frame.captured_s - before_s
-        down_camera = self._down_at(frame.captured_s)
-        motion = None if self._previous is None else self._motion_between(before_s, frame.captured_s)
+        down_camera = self._sensors.down_at(frame.captured_s)
+        motion = None if self._previous is None else self._sensors.motion_between(before_s, frame.captured_s)
         step = self._localizer.step(frame.color, elapsed_s, down=down_camera, measured_motion=motion)
         self._previous, self._is_lost = frame, step.state == "lost"
         done_s, in_place = self._source.now_s(), self._in_place()

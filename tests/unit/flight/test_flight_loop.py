@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mavlink_helpers import step_at
 from monoloc.camera import Camera
 from monoloc.errors import DataError
+from monoloc.flight.flight_inputs import OtherSensors, Starting
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightStep, FlightSummary
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, LiveFrame
@@ -106,16 +107,15 @@ class Heard:
 def fly(
     frames: list[tuple[float, float, int] | None],
     *outputs: Heard,
-    down_at: Callable[[float], FloatArray | None] = lambda captured_s: None,
+    sensors: OtherSensors = OtherSensors(),
     stop: Callable[[], bool] = lambda: False,
     camera: Camera = CAMERA,
-    motion_between: Callable[[float, float], Motion | None] = lambda start_s, end_s: None,
 ) -> tuple[FlightSummary, Calls]:
     source = Source(frames)
     localizer, summary = Calls(source), FlightSummary()
     given: list[FlightOutput] = list(outputs)
-    flight = (cast(Localizer, localizer), camera, source, given, 0.2, down_at, stop, summary)
-    Flight(*flight, motion_between=motion_between).run()
+    known = Starting(Start(np.eye(4)))
+    Flight(cast(Localizer, localizer), camera, source, given, 0.2, known, sensors, summary).run(stop)
     return summary, localizer
 
 
@@ -138,8 +138,9 @@ def test_a_start_is_looked_for_while_lost_and_at_the_beginning_where_none_is_kno
         looked += 1
         return start if source.clock_s > 100.2 else None
 
-    flight = (cast(Localizer, localizer), CAMERA, source, [heard], 0.2, lambda at_s: None, lambda: False, summary)
-    Flight(*flight, find, begins).run()
+    starting = Starting(start if begins == "known" else None, find, begins)
+    flight = (cast(Localizer, localizer), CAMERA, source, [heard], 0.2, starting, OtherSensors(), summary)
+    Flight(*flight).run(lambda: False)
     before = 0 if begins == "waiting" else 2
     assert looked == (3 if begins == "known" else 4)  # not at the first frame, where it knows; never while it tracks
     assert localizer.resets == [(before, start), (before + 3, start)]
@@ -195,7 +196,7 @@ def test_gravity_is_asked_for_at_the_time_of_capture() -> None:
         return None if captured_s < 100.05 else np.array([0.0, 1.0, captured_s])
 
     heard = Heard()
-    _, localizer = fly([(100.0, 100.05, 0), (100.1, 100.15, 1)], heard, down_at=down_at)
+    _, localizer = fly([(100.0, 100.05, 0), (100.1, 100.15, 1)], heard, sensors=OtherSensors(down_at))
     assert asked == [100.0, 100.1] and localizer.down[0] is None
     np.testing.assert_array_equal(localizer.down[1], [0.0, 1.0, 100.1])
     assert [result.down_camera for result in heard.results] == localizer.down
@@ -210,7 +211,7 @@ def test_motion_is_asked_for_between_the_frames_that_were_localised() -> None:
         return Motion.rotation(np.eye(3), end_s - start_s)
 
     frames = [(100.0, 100.05, 0), (100.1, 100.35, 1), (100.3, 100.4, 2)]
-    _, localizer = fly(frames, heard, motion_between=motion_between)
+    _, localizer = fly(frames, heard, sensors=OtherSensors(motion_between=motion_between))
     assert asked == [(100.0, 100.3)] and localizer.motions[0] is None and localizer.motions[1] is not None
     assert [result.measured_motion for result in heard.results] == localizer.motions
 
