@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.builder.landmark_evidence import LandmarkEvidence, measure_landmarks, measure_views
-from monoloc.builder.landmark_triangulation import Corners, landmarks_of
-from monoloc.depth.depth_image import sample_depth
+from monoloc.builder.landmark_triangulation import corners_of, landmarks_of
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.features import KeypointDetector
@@ -43,11 +42,8 @@ def build_landmarks(
     poses = poses[frames]
     with progress.task("landmarks", len(frames)) as show:
         corners = []
-        for index in frames.tolist():
-            keypoints = detect(recording.color(index))
-            pixels = keypoints.pixels.astype(np.float32)
-            depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera)
-            corners.append(Corners(keypoints, depth))
+        for each in corners_of(recording, frames, detect, depth_of):
+            corners.append(each)
             show(len(corners))
         measured = measure_landmarks(corners, recording.camera, detect.camera, poses)
         if measured is None:

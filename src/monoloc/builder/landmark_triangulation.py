@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, ray_jacobian, transform
-from monoloc.landmarks.features import Keypoints, match_descriptors
+from monoloc.io.recording import Recording
+from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 
 _RADIUS_PX = 6.0  # matching radius around the projection of a landmark lifted in another frame
@@ -29,6 +32,24 @@ class Corners:
 
     keypoints: Keypoints
     depth_m: FloatArray
+
+
+def corners_of(
+    recording: Recording,
+    frames: NDArray[np.int64],
+    detect: KeypointDetector,
+    depth_of: Callable[[int], NDArray[np.float32]],
+) -> Iterator[Corners]:
+    """Corners of some frames, one frame after the other.
+
+    Args:
+        detect: for the recording's camera.
+        depth_of: returns a frame's depth, (H, W) metres, 0 where there is none.
+    """
+    for index in frames.tolist():
+        keypoints = detect(recording.color(index))
+        pixels = keypoints.pixels.astype(np.float32)
+        yield Corners(keypoints, sample_depth(pixels, detect.camera, depth_of(index), recording.camera))
 
 
 def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray, depth_sd: float = DEPTH_SD) -> Landmarks:

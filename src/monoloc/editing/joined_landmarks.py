@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.builder.landmark_triangulation import Corners, landmarks_of
+from monoloc.builder.landmark_triangulation import Corners, corners_of, landmarks_of
 from monoloc.camera import Camera
-from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector
@@ -45,12 +44,7 @@ def with_recording(landmarks: Landmarks, recording: Recording, poses: FloatArray
     """
     detect = KeypointDetector(recording.camera)
     frames = evenly_spaced(len(recording), _MOST_FRAMES)
-    corners = []
-    for index in frames.tolist():
-        keypoints = detect(recording.color(index))
-        pixels = keypoints.pixels.astype(np.float32)
-        depth = sample_depth(pixels, detect.camera, recording.depth(index), recording.camera)
-        corners.append(Corners(keypoints, depth))
+    corners = list(corners_of(recording, frames, detect, recording.depth))
     seen = landmarks_of(corners, detect.camera, poses[frames])
     both = joined(landmarks, seen)
     if landmarks.views is None:
