@@ -1,11 +1,13 @@
-"""Corners followed from one image to the next.
+"""Corners of an image, and corners followed from one image to the next.
 
-Pyramidal Lucas-Kanade (Bouguet 2000), with a forward-backward check (Kalal et al. 2010).
+Sources: Shi & Tomasi 1994 (corners); Bouguet 2000 (pyramidal Lucas-Kanade); Kalal et al. 2010 (forward-backward
+check).
 """
 
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +17,21 @@ from monoloc.odometry.odometry_config import OdometryConfig
 
 _LEVELS, _NEAR_LEVELS = 3, 1  # of the image pyramid above the image, without and with expected pixels
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.03)  # iterations a level, and px of the last one
+_LEAST_QUALITY = 0.005  # of a corner, share of the best one's
 _ENOUGH_TRACKED = 0.6  # share of the corners; if fewer are found, what was expected may be wrong
+
+
+def find_corners(
+    gray: NDArray[np.uint8], most: int, config: OdometryConfig, free: NDArray[np.uint8] | None = None
+) -> NDArray[np.float32]:
+    """The best corners of a grey image (H, W), at most so many, (N, 2) pixels.
+
+    Args:
+        free: (H, W), 0 where no corner may be; None allows them everywhere.
+    """
+    found: Any = cv2.goodFeaturesToTrack(gray, most, _LEAST_QUALITY, config.min_distance_px, mask=free)
+    corners = np.zeros((0, 2)) if found is None else found
+    return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
 
 
 def follow_corners(

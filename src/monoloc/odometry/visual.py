@@ -25,7 +25,7 @@ from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
 from monoloc.image_size import gray_image
 from monoloc.odometry.camera_pose import solve_pose
-from monoloc.odometry.corner_tracking import follow_corners
+from monoloc.odometry.corner_tracking import find_corners, follow_corners
 from monoloc.odometry.image_rotation import ImageRotation
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.odometry_config import OdometryConfig
@@ -273,12 +273,7 @@ class VisualOdometry:
         free = np.full(gray.shape, 255, dtype=np.uint8)
         for x, y in known:
             cv2.circle(free, (int(x), int(y)), int(self.config.min_distance_px), 0, -1)
-        corners: Any = cv2.goodFeaturesToTrack(
-            gray, wanted, qualityLevel=0.005, minDistance=self.config.min_distance_px, mask=free
-        )
-        if corners is None or len(corners) == 0:
-            return np.zeros((0, 2), dtype=np.float32)
-        return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+        return find_corners(gray, wanted, self.config, free)
 
 
 def _log_depth_sd(T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float) -> FloatArray:

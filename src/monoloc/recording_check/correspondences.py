@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +18,7 @@ from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray
 from monoloc.image_size import gray_image
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.odometry.corner_tracking import track_corners
+from monoloc.odometry.corner_tracking import find_corners, track_corners
 from monoloc.odometry.odometry_config import OdometryConfig
 
 DepthOf = Callable[[int], NDArray[np.float32]]
@@ -106,7 +105,7 @@ def match_corners(recording: Recording, pairs: int = PAIRS) -> Matches:
     Raises:
         DataError: a frame cannot be read.
     """
-    images = _tracking_images(recording)
+    images = tracking_images(recording)
     starts = evenly_spaced(len(recording) - 1, pairs) if len(recording) > 1 else np.zeros(0, np.int64)
     count, least_px = len(recording), LEAST_MOTION * images.camera.width
     found = [pair for start in starts.tolist() if (pair := _match(images, start, count, least_px)) is not None]
@@ -119,7 +118,7 @@ def match_neighbours(recording: Recording, starts: Iterable[int]) -> Matches:
     Raises:
         DataError: a frame cannot be read.
     """
-    images = _tracking_images(recording)
+    images = tracking_images(recording)
     found = [pair for start in starts if (pair := _match(images, start, start + 2, 0.0)) is not None]
     return joined_pairs(images.camera, found, np.ones(len(found)))
 
@@ -135,7 +134,8 @@ def joined_pairs(camera: Camera, found: list[MatchedPair], motion_px: FloatArray
     )
 
 
-def _tracking_images(recording: Recording) -> TrackingImages:
+def tracking_images(recording: Recording) -> TrackingImages:
+    """A recording's images at the size in which the odometry tracks corners."""
     width, height = recording.camera.width, recording.camera.height
     factor = min(1.0, _TRACKING.width / width)
     return TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
@@ -167,10 +167,9 @@ def _match(images: TrackingImages, start: int, count: int, least_px: float) -> M
     before = images(start)
     if before is None:
         return None
-    corners = cv2.goodFeaturesToTrack(before, _TRACKING.corners, 0.005, _TRACKING.min_distance_px)
-    if corners is None or len(corners) < _LEAST_CORNERS:
+    corners = find_corners(before, _TRACKING.corners, _TRACKING)
+    if len(corners) < _LEAST_CORNERS:
         return None
-    corners = np.asarray(corners, dtype=np.float32).reshape(-1, 2)
     best = None
     for step in _STEPS:
         after = images(start + step) if start + step < count else None

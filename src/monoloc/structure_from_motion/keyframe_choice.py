@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.odometry.corner_tracking import track_corners
+from monoloc.odometry.corner_tracking import find_corners, track_corners
 from monoloc.odometry.odometry_config import OdometryConfig
 from monoloc.progress import NoProgress, Progress
-from monoloc.recording_check.correspondences import TrackingImages
+from monoloc.recording_check.correspondences import tracking_images
 from monoloc.recording_check.image_quality import blur_of
 
 _TRACKING = OdometryConfig()  # the odometry's settings for corners
@@ -47,9 +46,7 @@ def choose_keyframes(
     Raises:
         DataError: a frame cannot be read.
     """
-    camera = recording.camera
-    factor = min(1.0, _TRACKING.width / camera.width)
-    images = TrackingImages(recording, camera.resized(round(camera.width * factor), round(camera.height * factor)))
+    images = tracking_images(recording)
     with progress.task("keyframes", len(recording)) as step:
         chosen, ahead = [0], [_Frame(0, images(0), 0.0)]
         follower = _Follower(ahead[0])
@@ -93,9 +90,7 @@ class _Follower:
         self._gray = keyframe.gray
         self._corners = np.zeros((0, 2), dtype=np.float32)
         if self._gray is not None:
-            found = cv2.goodFeaturesToTrack(self._gray, _TRACKING.corners, 0.005, _TRACKING.min_distance_px)
-            if found is not None:
-                self._corners = np.asarray(found, dtype=np.float32).reshape(-1, 2)
+            self._corners = find_corners(self._gray, _TRACKING.corners, _TRACKING)
         self._pixels, self._count = self._corners, len(self._corners)
         self.is_done = False
 
