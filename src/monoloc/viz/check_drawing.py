@@ -16,6 +16,7 @@ from monoloc.recording_check.image_quality import BLURRED
 from monoloc.recording_check.inspection import Inspection, Level
 from monoloc.recording_check.pose_hypotheses import as_stated
 from monoloc.viz.picture import BLUE, GREEN, GREY, INK, ORANGE, VERMILION, picture
+from monoloc.viz.run_drawing import view_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,11 +128,7 @@ def _draw_path(axis: Axes, inspection: Inspection) -> None:
     if poses is None:
         _say(axis, "no poses")
         return
-    down = poses[:, :3, 1].mean(axis=0)
-    up_axis = int(np.argmax(np.abs(down)))
-    first, second = (up_axis + 1) % 3, (up_axis + 2) % 3
-    if down[up_axis] > 0.0:  # seen from above, the third axis points at the reader
-        first, second = second, first
+    first, second, _, _ = view_axes(poses)
     positions = poses[:, :3, 3]
     axis.plot(positions[:, first], positions[:, second], color=BLUE, linewidth=1.5)
     some = poses[:: max(1, len(poses) // 40)]
