@@ -13,6 +13,7 @@ from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.corrected import DEPTH_FIXES, DepthFix, given_depth_fix, is_seven_scenes, with_depth_fix
 from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
+from monoloc.recording_check.image_quality import small_gray
 from monoloc.supervision.distinct_views import DistinctViews
 
 _FRAMES = 16
@@ -33,10 +34,10 @@ _FLATTER, _AGREEING = 1.25, 0.8  # median ratio, and share of the frames that ar
 # of one view. Mirrored, flipped or turned, they gave 0.9 to 1.6, and 1.7 to 2.5 times that once this was undone.
 _EDGE, _LEAST_EDGES = 0.05, 200
 _EDGE_WIDTH, _HOLE = 640, 0.02  # pixels that edges are looked for in; width of a hole that they lie at, share of it
-_WIDTH, _NEIGHBOURHOOD_PX, _SEARCH_PX = 320, 41, 16
+_NEIGHBOURHOOD_PX, _SEARCH_PX = 41, 16
 _ZOOMS = np.exp(0.0125 * np.arange(-18, 46))  # 0.80 to 1.75
 _GAIN, _LEAST_ZOOM = 1.4, 0.05  # of depth that is not registered, by a zoom that differs from 1 at least so much
-_LEAST_SHIFT_PX = 6  # of _WIDTH, or by a shift at least so far
+_LEAST_SHIFT_PX = 6  # of 320, or by a shift at least so far
 _LEAST_VIEWS = 3  # of fewer, edges may fit somewhere else by chance
 # Sides of the image that are exchanged, by what the depth is.
 _FLIPS = {"mirrored": (True, False), "mirrored top to bottom": (False, True), "turned by 180 degrees": (True, True)}
@@ -199,10 +200,8 @@ def _planar_share(points: FloatArray) -> float:
 
 
 def _relative_gradient(color: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Gradient of an image relative to its mean around, (h, w) float32, 320 pixels wide or less."""
-    factor = min(1.0, _WIDTH / color.shape[1])
-    size = (round(color.shape[1] * factor), round(color.shape[0] * factor))
-    gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    """Gradient of an image relative to its mean around, (h, w) float32, of the size of :func:`small_gray`."""
+    gray = small_gray(color).astype(np.float32)
     gradient = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
     around = cv2.blur(gradient, (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX))
     return np.asarray(gradient / np.maximum(around, 1e-3), dtype=np.float32)

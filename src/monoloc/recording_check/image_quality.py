@@ -12,7 +12,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording, evenly_spaced
 
 _FRAMES = 60
-_WIDTH = 320  # of the images in which blur is measured
+_WIDTH = 320
 _BLUR_PX = 9
 _DARK, _SATURATED = 16, 250  # of 255
 BLURRED = 0.55
@@ -66,11 +66,16 @@ def measure_images(recording: Recording) -> ImageQuality:
 
 def quality_of(color: NDArray[np.uint8]) -> tuple[float, float, float, float]:
     """Blur, brightness, dark and saturated share of an image (H, W, 3) uint8 RGB, see :class:`ImageQuality`."""
+    gray = small_gray(color)
+    return blur_of(gray), float(np.median(gray)), float(np.mean(gray < _DARK)), float(np.mean(gray > _SATURATED))
+
+
+def small_gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Grey values of an image (H, W, 3) uint8 RGB at a width of 320 pixels, or its own if that is less, (h, w)."""
     factor = min(1.0, _WIDTH / color.shape[1])
     size = (round(color.shape[1] * factor), round(color.shape[0] * factor))
-    resized = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-    gray = np.asarray(resized, dtype=np.uint8)
-    return blur_of(gray), float(np.median(gray)), float(np.mean(gray < _DARK)), float(np.mean(gray > _SATURATED))
+    resized = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(resized, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def blur_of(gray: NDArray[np.uint8]) -> float:
