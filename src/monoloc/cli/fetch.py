@@ -17,9 +17,10 @@ from monoloc.cli.common import (
 from monoloc.cli.output_checks import check_folder
 from monoloc.errors import DataError, SettingError
 from monoloc.fetch.data_sets import DATA_SETS, DataSet
-from monoloc.fetch.download import download, sha256_of
+from monoloc.fetch.download import download
 from monoloc.fetch.unpack import unpack
 from monoloc.files import json_text, read_regular, target_of, write_whole
+from monoloc.io.identity import file_sha256
 from monoloc.partial_files import whole_folder
 from monoloc.progress import ConsoleProgress
 
@@ -93,7 +94,7 @@ def _fetch(data_set: DataSet, name: str, out: Path) -> None:
 
 def _check(data_set: DataSet, archive: Path, record: Path) -> None:
     """Compare an archive with its checksum: the known one, else that of the first download, which is recorded."""
-    found = sha256_of(archive)
+    found = file_sha256(archive)
     try:
         recorded = _Checksums.validate_json(read_regular(record)) if record.exists() else {}
     except ValueError as error:

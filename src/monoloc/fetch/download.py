@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import http.client
 import re
 from pathlib import Path
@@ -45,12 +44,6 @@ def download(url: str, target: Path, progress: Progress) -> None:
         raise DataError(url, f"cannot be downloaded ({reason or type(error).__name__})", _AGAIN) from error
     if total is not None and size != total:
         raise DataError(url, f"broke off after {size} of {total} bytes", _AGAIN)
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _write(response: http.client.HTTPResponse, target: Path, have: int, step: Step) -> int:

@@ -39,6 +39,7 @@ def file_sha256(path: Path) -> str:
         DataError: the file cannot be read.
     """
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror})", "check the path") from error
