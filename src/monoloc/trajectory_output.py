@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 from typing import Protocol
 
@@ -14,16 +12,15 @@ from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import require_mcap
-from monoloc.files import write_whole
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import step_recorder
-from monoloc.flight.pose_log import row
 from monoloc.geometry import FloatArray
 from monoloc.io.pose_table import COLUMNS
 from monoloc.io.recording import Recording
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.obstacles import tells_obstacles
 from monoloc.particle_filter.particles import Particles
+from monoloc.pose_rows import WholeTable, row
 from monoloc.step import Step
 from monoloc.viz.viewer import Viewer
 
@@ -75,20 +72,14 @@ class TumOutput:
         """Nothing: it is written at once."""
 
 
-class TableOutput:
+class TableOutput(WholeTable):
     """A table of poses, :mod:`monoloc.io.pose_table`, with every frame."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._text = io.StringIO()
-        self._rows = csv.writer(self._text, lineterminator="\n")
-        self._rows.writerow(COLUMNS)
+        super().__init__(path, COLUMNS)
 
     def add(self, time_s: float, name: str, color: NDArray[np.uint8], step: Step) -> None:
-        self._rows.writerow(row(time_s, name, step))
-
-    def write(self) -> None:
-        write_whole(self._path, self._text.getvalue().encode())
+        self.take(row(time_s, name, step))
 
     def close(self) -> None:
         """Nothing: it is written at once."""

@@ -12,10 +12,8 @@ from monoloc.errors import DataError
 from monoloc.flight.earlier_flight import keep_earlier
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.writer_thread import WriterThread
-from monoloc.geometry import FloatArray, rotation_to_quaternion
-from monoloc.io.pose_table import COLUMNS, ROOM, UPPER
-from monoloc.step import Step
-from monoloc.supervision.state import Reason
+from monoloc.io.pose_table import COLUMNS, ROOM
+from monoloc.pose_rows import row, row_in_place
 
 _MOST_ROWS = 10_000  # that wait for the disk, 6 MB; more are dropped
 
@@ -112,29 +110,3 @@ class BackgroundPoseLog(PoseLog):
 
     def close(self) -> None:
         self._thread.close(super().close)
-
-
-def row(time_s: float, frame: str, step: Step) -> tuple[str, ...]:
-    """The texts of a row of :data:`monoloc.io.pose_table.COLUMNS`. Numbers are read as the same bits.
-
-    Args:
-        time_s: of capture.
-        frame: its name.
-        step: the localizer's result.
-    """
-    pose: FloatArray = step.estimate.pose
-    numbers = [*pose[:3, 3], *rotation_to_quaternion(pose[:3, :3]), *step.estimate.covariance[UPPER]]
-    reasons = ";".join(sorted(reason.value for reason in step.reasons))
-    state = (repr(time_s), frame, step.state, reasons, repr(step.probability_far), str(int(step.restarted)))
-    return (*state, str(int(step.level)), *(repr(float(number)) for number in numbers))
-
-
-def row_in_place(time_s: float, frame: str, step: Step | None, room: str | None) -> tuple[str, ...]:
-    """The texts of a row whose last column is the room; arguments as :func:`row`.
-
-    Without a room the place is searched: the frame is *lost*, and only time, name, state and reason are known.
-    """
-    if step is None or room is None:
-        known = (repr(time_s), frame, "lost", Reason.SEARCHING.value)
-        return (*known, *[""] * (len(COLUMNS) - len(known)), "")
-    return (*row(time_s, frame, step), room)

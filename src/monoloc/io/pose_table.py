@@ -1,6 +1,6 @@
 """Tables of poses with what is known of each: CSV, one row a frame, as ``localize`` and ``fly`` write them.
 
-:func:`monoloc.flight.pose_log.row` makes a row.
+:func:`monoloc.pose_rows.row` makes a row.
 """
 
 from __future__ import annotations
