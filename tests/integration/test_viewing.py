@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -30,19 +29,11 @@ def bundle() -> Bundle:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, bundle: Bundle) -> Path:
-    folder = tmp_path_factory.mktemp("made")
+def workspace(tmp_path_factory: pytest.TempPathFactory, bundle: Bundle) -> Path:
+    folder = tmp_path_factory.mktemp("workspace")
     write_recording(folder / "recording", RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA))
     write_bundle(folder / "room.monoloc", bundle)
     return folder
-
-
-@pytest.fixture
-def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of one's own with bundle and recording, the working directory."""
-    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_localize_records_the_written_trajectory(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -138,17 +129,17 @@ def test_missing_display_is_reported_before_the_work(
     assert file_names(here) == before
 
 
-def test_demo_shows_every_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Path) -> None:
+def test_demo_shows_every_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workspace: Path) -> None:
     shown = []
 
     def watch(name: str, view: bool, record: Path | None) -> Any:
         shown.append((name, view, record))
         return run_viewer(name, view=False, record=None)
 
-    recording = str(made / "recording")
+    recording = str(workspace / "recording")
     flights = tuple(demo._Flight(name, None, recording, True) for name in ("one", "other"))
     monkeypatch.setattr(demo, "_living", lambda build: demo._Demo("a recording", flights, None))
-    monkeypatch.setattr(demo, "BUNDLE", made / "room.monoloc")
+    monkeypatch.setattr(demo, "BUNDLE", workspace / "room.monoloc")
     monkeypatch.setattr(demo, "check_viewing", lambda view, instead: None)
     monkeypatch.setattr(demo, "run_viewer", watch)
     assert invoke(["demo", "--out", str(tmp_path / "out"), "--view", "--json"]) == 0
