@@ -21,9 +21,9 @@ from monoloc.io.file_access import read_text, require_file
 from monoloc.io.registry import open_recording
 from monoloc.io.twelve_scenes import read_sequences
 from monoloc_lab.experiments import tasks
+from monoloc_lab.experiments.gather import trajectory
 from monoloc_lab.experiments.study import EvalRecording, Split
 from monoloc_lab.experiments.task import Results, Task
-from monoloc_lab.experiments.task_inputs import TRAJECTORY_FILE
 
 _SEVEN_SCENES_LINE = re.compile(r"(?:sequence|seq-?)(\d{1,4})", re.IGNORECASE)
 _FIGURES = ("position_median_cm", "rotation_median_deg", "within_5cm_5deg")
@@ -164,11 +164,8 @@ def scene_row(scene: PublishedScene, runs: dict[str, Task], results: Results) ->
     """A scene's row: figures over all its test frames, and under ``sequences`` over those of each."""
     flown = {name: results[run] for name, run in runs.items()}
     built = results[next(iter(runs.values())).needs[0]].figures
-    poses, truths = [], []
-    for result in flown.values():
-        with np.load(result.folder / TRAJECTORY_FILE) as arrays:
-            poses.append(arrays["poses"])
-            truths.append(arrays["truth"])
+    trajectories = [trajectory(result) for result in flown.values()]
+    poses, truths = ([each[name] for each in trajectories] for name in ("poses", "truth"))
     parts = {
         name: {
             "frames": len(truth),
