@@ -67,6 +67,7 @@ from monoloc.step_budget import budget_line
 from monoloc.supervision.state import State
 from monoloc.trajectory_output import WritingViewer, check_trajectory, trajectory_output
 from monoloc.viz.plots import plot_localization
+from monoloc.viz.run_drawing import DrawnRun
 from monoloc.viz.viewer import run_viewer
 
 
@@ -222,8 +223,7 @@ def _write_each(
 
 def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
     """Write the plot of a run over its map."""
-    plot_localization(
-        path,
+    drawn = DrawnRun(
         estimated=run.poses,
         timestamps_s=run.recording.timestamps_s,
         truth=run.truth,
@@ -233,8 +233,8 @@ def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
         states=run.states,
         mixture=(room.adapted.means, room.adapted.covariances),
         edits=drawn_edits(room, np.random.default_rng(0)),
-        title=title,
     )
+    plot_localization(path, drawn, title)
 
 
 def show(metrics: dict[str, object]) -> None:

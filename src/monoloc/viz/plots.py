@@ -11,27 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from monoloc.editing.edit_history import DrawnEdit
 from monoloc.evaluation.depth_metrics import depth_metrics, truth_where_predicted
-from monoloc.geometry import FloatArray
 from monoloc.viz.picture import BLUE, ORANGE, picture
-from monoloc.viz.run_drawing import Run, draw_errors, draw_views
+from monoloc.viz.run_drawing import DrawnRun, draw_errors, draw_views
 
 
-def plot_localization(
-    path: str | Path,
-    *,
-    estimated: FloatArray,
-    timestamps_s: FloatArray,
-    truth: FloatArray | None = None,
-    covariances: FloatArray | None = None,
-    odometry: FloatArray | None = None,
-    unseen: NDArray[np.bool_] | None = None,
-    states: Sequence[str] | None = None,
-    mixture: tuple[FloatArray, FloatArray] | None = None,
-    edits: Sequence[DrawnEdit] = (),
-    title: str = "",
-) -> None:
+def plot_localization(path: str | Path, run: DrawnRun, title: str = "") -> None:
     """Plot the trajectory over the map, from above and from the side, and its errors over time.
 
     Up is the signed world axis that is closest to the negative mean y axis of the cameras. Hence worlds with y down
@@ -40,15 +25,7 @@ def plot_localization(
 
     Args:
         path: PNG to write.
-        estimated: ``T_world_camera``, (N, 4, 4).
-        timestamps_s: (N,) seconds.
-        truth: true ``T_world_camera``, (N, 4, 4), in the same world frame.
-        covariances: (N, 6, 6) in the estimated camera's tangent space, order (rho, phi), m and rad.
-        odometry: ``T_world_camera`` from odometry alone, (N, 4, 4), in the same world frame.
-        unseen: (N,) True for frames that were not used to build the map.
-        states: state of each frame, N of :data:`monoloc.supervision.state.State`.
-        mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
-        edits: of the map.
+        run: what is drawn.
         title: title of the figure.
 
     Raises:
@@ -56,7 +33,6 @@ def plot_localization(
         DataError: the file cannot be written.
         ValueError: an array does not match the estimate, or a pose is not finite.
     """
-    run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture, edits)
     with picture(path, 13.0, 7.8) as figure:
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")

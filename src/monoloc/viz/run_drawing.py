@@ -37,17 +37,29 @@ _GAP_PT = 4.0  # minimum distance of a label from what it must not cover
 
 
 @dataclass(frozen=True)
-class Run:
-    """Arguments of :func:`~monoloc.viz.plots.plot_localization`, with the same names."""
+class DrawnRun:
+    """What is drawn of a run of N frames; of what is None, nothing.
+
+    Attributes:
+        estimated: ``T_world_camera``, (N, 4, 4).
+        timestamps_s: (N,) seconds.
+        truth: true ``T_world_camera``, (N, 4, 4), in the same world frame.
+        covariances: (N, 6, 6) in the estimated camera's tangent space, order (rho, phi), m and rad.
+        odometry: ``T_world_camera`` from odometry alone, (N, 4, 4), in the same world frame.
+        unseen: (N,) True for frames that were not used to build the map.
+        states: state of each frame, N of :data:`monoloc.supervision.state.State`.
+        mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
+        edits: of the map.
+    """
 
     estimated: FloatArray
     timestamps_s: FloatArray
-    truth: FloatArray | None
-    covariances: FloatArray | None
-    odometry: FloatArray | None
-    unseen: NDArray[np.bool_] | None
-    states: Sequence[str] | None
-    mixture: tuple[FloatArray, FloatArray] | None
+    truth: FloatArray | None = None
+    covariances: FloatArray | None = None
+    odometry: FloatArray | None = None
+    unseen: NDArray[np.bool_] | None = None
+    states: Sequence[str] | None = None
+    mixture: tuple[FloatArray, FloatArray] | None = None
     edits: Sequence[DrawnEdit] = ()
 
     def in_state(self, state: str) -> NDArray[np.bool_]:
@@ -58,7 +70,7 @@ class Run:
 # --- Views of the map ---
 
 
-def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
+def draw_views(figure: SubFigure, run: DrawnRun) -> dict[str, Artist]:
     """Draw the trajectory over the map, from above and from the side."""
     right, forward, up, up_is_negative = view_axes(run.estimated)
     low_m, high_m = _bounds(run, (right, forward, up))
@@ -98,7 +110,7 @@ def page_axes(down: FloatArray) -> tuple[int, int, int, bool]:
     return (forward, right, up, True) if down[up] > 0.0 else (right, forward, up, False)
 
 
-def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArray]:
+def _bounds(run: DrawnRun, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArray]:
     """Lower and upper corner (3,) of the shown box, which contains the trajectories and the map without outliers.
 
     The box is enlarged so that the two views, stacked and at one scale, fill their half of the figure.
@@ -119,7 +131,7 @@ def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArra
     return centre_m - 0.5 * extent_m, centre_m + 0.5 * extent_m
 
 
-def _draw_map(axis: Axes, plane: list[int], run: Run) -> None:
+def _draw_map(axis: Axes, plane: list[int], run: DrawnRun) -> None:
     if run.mixture is not None:
         draw_mixture(axis, plane, *run.mixture)
 
@@ -145,7 +157,7 @@ def draw_mixture(axis: Axes, plane: list[int], means: FloatArray, covariances: F
     axis.add_collection(ellipses, autolim=False)
 
 
-def _draw_trajectories(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
+def _draw_trajectories(axis: Axes, plane: list[int], run: DrawnRun) -> dict[str, Artist]:
     shown: dict[str, Artist] = {}
 
     def draw(name: str, poses: FloatArray, *style: str, **details: Any) -> None:
@@ -217,7 +229,7 @@ def _beside(axis: Axes, at: FloatArray, crowd: FloatArray) -> tuple[FloatArray, 
 # --- Errors over time ---
 
 
-def draw_errors(figure: SubFigure, run: Run) -> dict[str, Artist]:
+def draw_errors(figure: SubFigure, run: DrawnRun) -> dict[str, Artist]:
     """Draw position and rotation errors over time, with the bounds of the covariances."""
     nothing = (None, None)
     own = nothing if run.truth is None else _errors_cm_deg(run.estimated, run.truth)
@@ -235,7 +247,7 @@ def _draw_error(
     axis: Axes,
     name: str,
     unit: str,
-    run: Run,
+    run: DrawnRun,
     error: FloatArray | None,
     drift: FloatArray | None,
     bound: FloatArray | None,

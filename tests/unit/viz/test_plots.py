@@ -12,6 +12,7 @@ import pytest
 
 from monoloc.errors import DataError, MissingExtraError
 from monoloc.viz.plots import plot_depth, plot_localization, plot_training
+from monoloc.viz.run_drawing import DrawnRun
 from plot_helpers import check_picture, make_run
 
 
@@ -24,26 +25,22 @@ from plot_helpers import check_picture, make_run
 )
 def test_localization_is_drawn_with_any_arguments(tmp_path: Path, left_out: tuple[str, ...]) -> None:
     run = {name: value for name, value in make_run().items() if name not in left_out}
-    plot_localization(tmp_path / "run.png", **run, title="k$\\frac{$")  # not a formula
+    plot_localization(tmp_path / "run.png", DrawnRun(**run), "k$\\frac{$")  # not a formula
     check_picture(tmp_path / "run.png", 1500, 900)
 
 
 @pytest.mark.filterwarnings("error")
 def test_localization_of_a_single_frame_is_drawn(tmp_path: Path) -> None:
     pose = np.eye(4)[None]
-    plot_localization(tmp_path / "run.png", estimated=pose, truth=pose, timestamps_s=np.zeros(1), states=["lost"])
+    run = DrawnRun(estimated=pose, timestamps_s=np.zeros(1), truth=pose, states=["lost"])
+    plot_localization(tmp_path / "run.png", run)
     check_picture(tmp_path / "run.png", 1500, 900)
 
 
 def test_truth_of_another_length_is_refused(tmp_path: Path) -> None:
     run = make_run()
     with pytest.raises(ValueError, match="estimated must have shape"):
-        plot_localization(
-            tmp_path / "run.png",
-            estimated=run["estimated"],
-            truth=run["truth"][1:],
-            timestamps_s=run["timestamps_s"],
-        )
+        plot_localization(tmp_path / "run.png", DrawnRun(run["estimated"], run["timestamps_s"], run["truth"][1:]))
     assert list(tmp_path.iterdir()) == []
 
 

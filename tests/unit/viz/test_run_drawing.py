@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from monoloc.geometry import make_pose
 from monoloc.supervision.state import State
-from monoloc.viz.run_drawing import _STATE_COLOURS, Run, _beside, draw_errors, norm_bound_95, view_axes
+from monoloc.viz.run_drawing import _STATE_COLOURS, DrawnRun, _beside, draw_errors, norm_bound_95, view_axes
 from plot_helpers import FRAMES, make_run
 
 
@@ -24,7 +24,7 @@ def test_errors_of_a_lost_camera_do_not_scale_the_axis() -> None:
     run["covariances"][:5] = 100.0 * np.eye(6)
     for states, least_cm, most_cm in ((run["states"], 3.0, 50.0), (["lost"] * FRAMES, 1e4, 1e5)):
         figure = Figure()
-        draw_errors(figure.subfigures(), Run(**run | {"states": states}))
+        draw_errors(figure.subfigures(), DrawnRun(**run | {"states": states}))
         assert least_cm < figure.axes[0].get_ylim()[1] < most_cm
 
 
