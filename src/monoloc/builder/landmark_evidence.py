@@ -19,13 +19,13 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose
+from monoloc.robust_statistics import robust_sd
 from monoloc.supervision.camera_check import tells_focal
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
 
 _LEAST_DISTANCE_M = 0.05
 _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
 _CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
-_NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is found
 # Growth of the common error: the most likely one over two real rooms, the factors that are tried and their spread.
@@ -257,9 +257,8 @@ def _evidence(measured: list[_Localized]) -> LandmarkEvidence:
     )
     if len(log_focal) < _LEAST_FOCAL_FRAMES:
         return evidence
-    median = float(np.median(log_focal))
-    deviation = _NORMAL_MAD * float(np.median(np.abs(log_focal - median)))
-    return replace(evidence, focal_mean=median, focal_sd=max(_LEAST_FOCAL_SD, deviation))
+    focal_sd = max(_LEAST_FOCAL_SD, robust_sd(log_focal))
+    return replace(evidence, focal_mean=float(np.median(log_focal)), focal_sd=focal_sd)
 
 
 def _beyond_noise(errors: PoseErrors, stated: FloatArray) -> PoseErrors:

@@ -11,6 +11,7 @@ from monoloc.geometry import FloatArray, invert, make_pose, nearest_rotation, ro
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.robust_statistics import robust_sd
 from monoloc.supervision.camera_check import tells_focal
 
 _FRAMES = 24
@@ -88,5 +89,4 @@ def _focal(places: list[LandmarkPose], usual: float) -> tuple[float | None, floa
     values = np.array([place.log_focal for place in places if tells_focal(place)])
     if len(values) < LEAST_FOUND:
         return None, None
-    spread = 1.4826 * float(np.median(np.abs(values - np.median(values)))) / np.sqrt(len(values))
-    return float(np.exp(np.median(values) - usual)), spread
+    return float(np.exp(np.median(values) - usual)), robust_sd(values) / np.sqrt(len(values))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from monoloc.errors import DataError
 from monoloc.io.recording import Recording
+from monoloc.robust_statistics import robust_sd
 from monoloc.structure_from_motion.sparse_model import SparseModel
 
 _MOST_SD = 0.5  # of a scale; above it, nothing was measured
@@ -73,9 +74,8 @@ def from_log_ratios(log_metres: Sequence[float], common_sd: float, how: str, nam
         problem = f"gives no scale: {how} covers nothing that was reconstructed"
         raise DataError(name, problem, "give another --scale, such as marker:ID:SIZE_M")
     values = np.array(log_metres)
-    middle = float(np.median(values))
-    spread = 1.4826 * float(np.median(np.abs(values - middle)))
-    return MetricScale(float(np.exp(middle)), float(np.hypot(common_sd, spread / np.sqrt(len(values)))), how)
+    sd = float(np.hypot(common_sd, robust_sd(values) / np.sqrt(len(values))))
+    return MetricScale(float(np.exp(np.median(values))), sd, how)
 
 
 def from_length(length: float, length_sd: float, metres: float, metres_sd: float, how: str, name: str) -> MetricScale:
