@@ -5,13 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from monoloc_lab.experiments.study import Study, recorded
 from monoloc_lab.experiments.task import Result, Task
-from monoloc_lab.experiments.task_inputs import TRAJECTORY_FILE
 from monoloc_lab.experiments.work import KINDS
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
@@ -41,8 +37,3 @@ def execute(task: Task, out: Path, done: dict[str, Result]) -> Result:
         figures = KINDS[task.kind](task.settings, needs, folder)
         done[task.key] = Result(folder, json.loads(json.dumps(figures)))
     return done[task.key]
-
-
-def trajectory_of(result: Result) -> dict[str, Any]:
-    with np.load(result.folder / TRAJECTORY_FILE) as arrays:
-        return dict(arrays)

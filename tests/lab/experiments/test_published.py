@@ -13,10 +13,11 @@ from monoloc.config import override
 from monoloc.geometry import FloatArray, invert
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.io.seven_scenes import T_COLOR_DEPTH
+from monoloc_lab.experiments.gather import trajectory
 from monoloc_lab.experiments.published import over_scenes, read_scene, scene_row, scene_runs
 from monoloc_lab.experiments.task import Result, Task
 from refusals import refuses_data
-from study_helpers import NETWORK, execute, trajectory_of
+from study_helpers import NETWORK, execute
 from twelve_scenes_room import KITCHEN, write_kitchen
 
 _QUICKEST = override(BuildConfig(), components=40, adapt={"tune": "none", "map_transform": False})
@@ -122,7 +123,7 @@ def test_scene_is_built_of_its_training_sequences_and_flown_without_a_start(tmp_
     results: dict[Task, Result] = {task: done[task.key] for run in runs.values() for task in (run, *run.needs)}
     row = scene_row(scene, runs, results)
     assert (row["training_frames"], row["build_frames"], row["test_frames"]) == (48, 48, 12)
-    arrays = trajectory_of(results[runs["sequence0"]])
+    arrays = trajectory(results[runs["sequence0"]])
     np.testing.assert_allclose(arrays["truth"], walks[0], atol=1e-9)
     assert arrays["unseen"].all()
     assert row["position_median_cm"] < 20.0  # landmarks find the camera: the room is 5 m long

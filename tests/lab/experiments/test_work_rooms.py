@@ -17,10 +17,11 @@ from monoloc.io.recording import Recording
 from monoloc.map.mixture import BYTES_PER_COMPONENT
 from monoloc_lab.baselines.posenet import PoseNet, posenet_config
 from monoloc_lab.experiments import tasks, work_rooms
+from monoloc_lab.experiments.gather import trajectory
 from monoloc_lab.experiments.study import EvalRecording, Split, Study
 from monoloc_lab.experiments.task import Result
 from monoloc_lab.experiments.work_rooms import octree_bytes
-from study_helpers import NETWORK, execute, small_study, trajectory_of, write_room
+from study_helpers import NETWORK, execute, small_study, write_room
 from synthetic_room import Room, make_bundle, room_mixture
 
 
@@ -158,8 +159,8 @@ def test_posenet_filtered_posenet_and_keypoints(
         execute(tasks.keypoints_run(study, split, recording, "orb"), folder, done),
     ]
     for run in runs:
-        arrays = trajectory_of(run)
+        arrays = trajectory(run)
         np.testing.assert_array_equal(arrays["unseen"], np.arange(12) % 2 == 1)
         assert run.figures["frames"] == 12 and run.figures["unseen_frames"] == 6
         assert {"unseen_ate_rmse_m", "unseen_rot_median_deg", "unseen_failed_frames"} <= set(run.figures)
-    assert trajectory_of(runs[0])["poses"].shape == (12, 4, 4) and runs[0].figures["failed_frames"] == 0
+    assert trajectory(runs[0])["poses"].shape == (12, 4, 4) and runs[0].figures["failed_frames"] == 0

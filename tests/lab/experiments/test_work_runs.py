@@ -12,9 +12,10 @@ from map_helpers import make_mixture
 from monoloc.bundle import Bundle, fingerprint, write_bundle
 from monoloc.errors import DataError
 from monoloc_lab.experiments import tasks, work_runs
+from monoloc_lab.experiments.gather import trajectory
 from monoloc_lab.experiments.study import EvalRecording, Split, Study
 from monoloc_lab.experiments.task import Result, Task
-from study_helpers import NETWORK, execute, small_study, trajectory_of, write_room
+from study_helpers import NETWORK, execute, small_study, write_room
 from synthetic_room import Room, RoomRecording, make_bundle, room_mixture
 
 
@@ -65,7 +66,7 @@ def test_run_writes_the_trajectory_of_its_figures(
     split: Split, bundle: Task, folder: Path, done: dict[str, Result]
 ) -> None:
     run = execute(tasks.run(bundle, split.recordings["as recorded"], 3), folder, done)
-    arrays = trajectory_of(run)
+    arrays = trajectory(run)
     assert set(arrays) == set(tasks.TRAJECTORY_ARRAYS)
     assert arrays["covariances"].shape == (8, 6, 6)
     np.testing.assert_array_equal(arrays["unseen"], np.arange(8) % 4 != 0)
@@ -79,7 +80,7 @@ def test_random_walk_has_no_odometry_and_sensor_depth_is_exact(
 ) -> None:
     task = tasks.run(bundle, split.recordings["as recorded"], 3, motion="random-walk", sensor=True)
     run = execute(task, folder, done)
-    assert "odometry" not in trajectory_of(run) and run.figures["motion"] == "random-walk"
+    assert "odometry" not in trajectory(run) and run.figures["motion"] == "random-walk"
     assert run.figures["depth_absrel"] < 0.01
 
 
@@ -140,7 +141,7 @@ def test_light_is_simulated_after_build_frames_are_recognised(
             colours.append(pictures["color"][0])
     assert colours[0].mean() < 0.5 * colours[1].mean()
     keypoints = execute(tasks.keypoints_run(study, split, split.recordings["L3"], "orb"), folder, done)
-    np.testing.assert_array_equal(trajectory_of(keypoints)["unseen"], np.arange(8) % 4 != 0)
+    np.testing.assert_array_equal(trajectory(keypoints)["unseen"], np.arange(8) % 4 != 0)
     assert keypoints.figures["map_bytes"] > 0
 
 
