@@ -155,7 +155,7 @@ def fly(steps: int) -> tuple[Flight, int]:
     bundle = read_bundle(room / "living.monoloc")
     start = Start.disturbed(recording.poses[0], rng)
     with recorded(flight):
-        localize(bundle, recording, start, bundle.settings, rng, NoProgress())
+        localize(bundle, recording, start, rng, NoProgress())
     return flight, count - WARM_UP
 
 

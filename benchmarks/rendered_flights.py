@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -101,11 +101,11 @@ def flights(
 ) -> list[Run]:
     """From starts 10 cm and 3 degrees off."""
     assert recording.poses is not None
-    settings, runs = override(bundle.settings, without=without), []
+    flown, runs = replace(bundle, settings=override(bundle.settings, without=without)), []
     for number in range(_STARTS):
         rng = np.random.default_rng(number)
         start = Start.disturbed(recording.poses[0], rng)
-        runs.append(localize(bundle, recording, start, settings, rng, NoProgress(), relight=relight))
+        runs.append(localize(flown, recording, start, rng, NoProgress(), relight=relight))
     return runs
 
 

@@ -61,7 +61,7 @@ def fly(bundle: Bundle, recording: Recording, to_map: Similarity, flights: int) 
     rows = []
     for flight in range(flights):
         rng = np.random.default_rng(flight)
-        run = localize(bundle, moved, Start.disturbed(moved.poses[0], rng), bundle.settings, rng, NoProgress())
+        run = localize(bundle, moved, Start.disturbed(moved.poses[0], rng), rng, NoProgress())
         figures = run.metrics()
         names = ("ate_median_m", "ate_rmse_m", "rot_median_deg", "coverage_95")
         rows.append([float(str(figures[name])) for name in names])

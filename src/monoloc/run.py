@@ -150,7 +150,6 @@ def localize(
     bundle: Bundle,
     recording: Recording,
     start: Start | None,
-    config: LocalizerConfig,
     rng: np.random.Generator,
     progress: Progress,
     use_sensor_depth: bool = False,
@@ -160,10 +159,10 @@ def localize(
     down: FloatArray | None = None,
     motions: Sequence[Motion | None] | None = None,
 ) -> Run:
-    """Localise every frame of a recording.
+    """Localise every frame of a recording, with the bundle's settings.
 
     Args:
-        start, config, components: as for :class:`monoloc.localizer.Localizer`.
+        start, components: as for :class:`monoloc.localizer.Localizer`.
         rng: of all random numbers.
         use_sensor_depth: use the recording's depth in place of the network's, as an upper bound, with the likelihood
             and bias of a sensor in place of the bundle's.
@@ -184,6 +183,7 @@ def localize(
         raise ValueError(f"down must have shape ({len(recording)}, 3), got {np.shape(down)}")
     if motions is not None and len(motions) != len(recording):
         raise ValueError(f"motions must be {len(recording)}, one a frame, got {len(motions)}")
+    config = bundle.settings
     if use_sensor_depth:
         if not recording.has_depth:
             raise DataError(recording.name, "has no depth", "leave out --depth sensor")

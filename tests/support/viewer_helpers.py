@@ -69,7 +69,7 @@ def show_run(bundle: Bundle, recording: RoomRecording, viewer: Viewer) -> Run:
     """A recording, localised with its true start before a viewer."""
     assert recording.poses is not None
     rng = np.random.default_rng(0)
-    return localize(bundle, recording, Start(recording.poses[0]), bundle.settings, rng, NoProgress(), viewer=viewer)
+    return localize(bundle, recording, Start(recording.poses[0]), rng, NoProgress(), viewer=viewer)
 
 
 def file_names(folder: Path) -> list[str]:

@@ -110,14 +110,14 @@ def test_bias_of_the_network_is_not_subtracted_from_poses_by_sensor_depth(
         bias = np.full((len(few), 6), bias_m)
         bundle = replace(bundle, reference_poses=ReferencePoses(few.poses, bias, bias))
         rng, start = np.random.default_rng(0), Start(few.poses[0])
-        poses.append(localize(bundle, few, start, bundle.settings, rng, NoProgress(), use_sensor_depth=True).poses)
+        poses.append(localize(bundle, few, start, rng, NoProgress(), use_sensor_depth=True).poses)
     np.testing.assert_array_equal(*poses)
 
 
 def test_frames_are_counted_by_reason(mixture: GaussianMixture, recording: RoomRecording) -> None:
     few = select_frames(recording, ":4")
     bundle, rng, start = make_bundle(mixture, few), np.random.default_rng(0), Start(few.poses[0])
-    run = localize(bundle, few, start, SETTINGS, rng, NoProgress(), relight=np.zeros_like)
+    run = localize(bundle, few, start, rng, NoProgress(), relight=np.zeros_like)
     counts = run.metrics()["reasons"]
     assert isinstance(counts, dict)
     assert list(counts) == [
@@ -137,7 +137,7 @@ def test_direction_of_gravity_rotates_the_poses(mixture: GaussianMixture, record
 
     def first_rotation(down: FloatArray | None) -> FloatArray:
         rng, start = np.random.default_rng(0), Start(few.poses[0])
-        return localize(bundle, few, start, SETTINGS, rng, NoProgress(), down=down).poses[0][:3, :3]
+        return localize(bundle, few, start, rng, NoProgress(), down=down).poses[0][:3, :3]
 
     # The tilt of eleven degrees counts by the share that the start's three degrees give it.
     assert 0.01 < rotation_angle(first_rotation(None).T @ first_rotation(tilted)) < 0.2
@@ -152,7 +152,7 @@ def test_without_a_measured_motion_no_odometry_is_reported(
         return replace(default_components(bundle, camera, config), odometry=None)
 
     rng, start = np.random.default_rng(0), Start(few.poses[0])
-    run = localize(bundle, few, start, SETTINGS, rng, NoProgress(), components=without_odometry)
+    run = localize(bundle, few, start, rng, NoProgress(), components=without_odometry)
     assert run.odometry is None and "odometry_ate_rmse_m" not in run.metrics()
 
 
@@ -160,10 +160,10 @@ def test_gravity_is_one_direction_a_frame(mixture: GaussianMixture, recording: R
     bundle, few = make_bundle(mixture, recording, range(2)), select_frames(recording, ":3")
     with pytest.raises(ValueError, match=r"down must have shape \(3, 3\), got \(2, 3\)"):
         rng, start = np.random.default_rng(0), Start(few.poses[0])
-        localize(bundle, few, start, SETTINGS, rng, NoProgress(), down=np.ones((2, 3)))
+        localize(bundle, few, start, rng, NoProgress(), down=np.ones((2, 3)))
 
 
 def test_recording_without_frames_is_refused(mixture: GaussianMixture, recording: RoomRecording) -> None:
     bundle, empty = make_bundle(mixture, recording, range(2)), RoomRecording(Room(), recording.poses[:0])
     with pytest.raises(DataError, match="room: gives no frames; give a recording with at least one"):
-        localize(bundle, empty, Start(recording.poses[0]), SETTINGS, np.random.default_rng(0), NoProgress())
+        localize(bundle, empty, Start(recording.poses[0]), np.random.default_rng(0), NoProgress())

@@ -208,7 +208,7 @@ def _errors(bundle: Bundle, recording: Recording, starts: int, seed: int) -> Err
     position_m, states, far = [], list[str](), list[bool]()
     for number in range(starts):
         rng = np.random.default_rng((seed, number))
-        run = localize(bundle, recording, Start.disturbed(poses[0], rng), bundle.settings, rng, NoProgress())
+        run = localize(bundle, recording, Start.disturbed(poses[0], rng), rng, NoProgress())
         errors = consistency(run.poses, poses, run.covariances)
         position_m.append(errors.position_m)
         states += run.states

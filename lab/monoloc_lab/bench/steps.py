@@ -90,7 +90,7 @@ def measure(bundle: Path, source: str, frames: str, seed: int) -> dict[str, obje
     rng = np.random.default_rng(seed)
     start = Start.disturbed(recording.poses[0], rng)
     with timed_stages() as times:
-        localize(room, recording, start, room.settings, rng, NoProgress())
+        localize(room, recording, start, rng, NoProgress())
     steps = times.pop("step")
     stages = {name: sum(calls) / len(steps) for name, calls in times.items()}
     stages["other"] = sum(steps) / len(steps) - sum(stages.values())

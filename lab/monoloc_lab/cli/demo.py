@@ -148,7 +148,7 @@ def _run(flight: _Flight, bundle: Bundle, seed: int, out: Path, view: bool) -> R
     start = Start.disturbed(recording.poses[0], rng)
     progress = ConsoleProgress(stderr)
     with run_viewer(flight.name, view, None) as viewer:
-        run = localize(bundle, recording, start, bundle.settings, rng, progress, flight.sensor_depth, viewer=viewer)
+        run = localize(bundle, recording, start, rng, progress, flight.sensor_depth, viewer=viewer)
     stem = out / flight.name.split(" (")[0].replace(" ", "-")
     write_tum(stem.with_suffix(".txt"), recording.timestamps_s, run.poses)
     draw(stem.with_suffix(".png"), run, bundle, flight.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +33,11 @@ def run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, 
         problem = "is flown without a start, and neither scans nor landmarks can find the camera in this room"
         raise DataError(recording.name, problem, "build it from more frames, or with landmarks")
     start = None if settings["start"] is None else start_of(settings, recording, rng)
-    config = override(bundle.settings, motion=settings["motion"], without=settings["without"])
+    changed = override(bundle.settings, motion=settings["motion"], without=settings["without"])
+    flown = replace(bundle, settings=changed)
     relight = relighting(settings["evaluation"]["light"], settings["seed"])
     down = _simulated_down(bundle, recording, settings["seed"]) if settings["gravity"] else None
-    result = localize(
-        bundle, recording, start, config, rng, NoProgress(), settings["sensor"], relight=relight, down=down
-    )
+    result = localize(flown, recording, start, rng, NoProgress(), settings["sensor"], relight=relight, down=down)
     further = {"covariances": result.covariances}
     if result.odometry is not None:
         further["odometry"] = result.odometry

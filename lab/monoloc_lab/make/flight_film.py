@@ -147,7 +147,7 @@ def main() -> None:
     start = Start.disturbed(recording.poses[0], np.random.default_rng(0))
     film = Film(start.pose)
     rng = np.random.default_rng(0)
-    localize(room, recording, start, room.settings, rng, ConsoleProgress(stderr), viewer=film)
+    localize(room, recording, start, rng, ConsoleProgress(stderr), viewer=film)
     write_whole(arguments.out, film.webp())
 
 

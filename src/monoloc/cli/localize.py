@@ -181,7 +181,7 @@ def localize_command(
             writing.enter_context(closing(trajectory))
             viewer = WritingViewer(viewer, trajectory)
         show_progress, sensor = ConsoleProgress(stderr), depth == "sensor"
-        run = localize(room, recording, begin, config, rng, show_progress, sensor, viewer=viewer, motions=motions)
+        run = localize(room, recording, begin, rng, show_progress, sensor, viewer=viewer, motions=motions)
         writers: list[tuple[Path | None, Callable[[Path], None]]] = [
             (plot, lambda path: draw(path, run, room, name)),
             (record, lambda _: viewing.close()),

@@ -111,7 +111,7 @@ def observe(
     """
     views_of(bundle)
     watcher = _Watcher(bundle, recording, is_sensor_depth, known, rules)
-    localize(bundle, recording, start, bundle.settings, rng, progress, viewer=watcher)
+    localize(bundle, recording, start, rng, progress, viewer=watcher)
     depth_error = DepthError(_SENSOR_SD, 0.0, True) if is_sensor_depth else DepthError.of(bundle)
     states: dict[State, int] = dict(watcher.states)
     refusal, fix = _refusal(watcher, rules) or (None, "")

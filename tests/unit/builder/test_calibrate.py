@@ -98,7 +98,7 @@ def fly(bundle: Bundle, flight: RoomRecording, components: ComponentsFactory) ->
     assert flight.poses is not None
     start = Start.disturbed(flight.poses[0], np.random.default_rng(1), error_m=0.2, error_rad=0.05)
     rng = np.random.default_rng(0)
-    return localize(bundle, flight, start, bundle.settings, rng, NoProgress(), components=components)
+    return localize(bundle, flight, start, rng, NoProgress(), components=components)
 
 
 def test_own_likelihood_tracks_after_calibration(

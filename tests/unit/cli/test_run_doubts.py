@@ -31,7 +31,7 @@ def run(room: Bundle) -> Run:
     recording = RoomRecording(Room(), make_path(FRAMES))
     assert recording.poses is not None
     start = Start(recording.poses[0], 0.01, 0.01)
-    return localize(room, recording, start, room.settings, np.random.default_rng(0), NoProgress())
+    return localize(room, recording, start, np.random.default_rng(0), NoProgress())
 
 
 def doubts(run: Run, room: Bundle) -> Iterator[str]:

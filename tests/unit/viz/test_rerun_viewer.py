@@ -178,9 +178,7 @@ def test_errors_need_truth_and_thresholds_need_a_network(tmp_path, room, bundle)
     start, without_truth.poses = Start(without_truth.poses[0]), None
     rng = np.random.default_rng(0)
     with run_viewer("a run", view=False, record=tmp_path / "run.rrd") as recorder:
-        localize(
-            bundle, without_truth, start, bundle.settings, rng, NoProgress(), use_sensor_depth=True, viewer=recorder
-        )
+        localize(bundle, without_truth, start, rng, NoProgress(), use_sensor_depth=True, viewer=recorder)
     recorded = Recorded(tmp_path / "run.rrd")
     assert "/world/truth" not in recorded.entities
     assert recorded.frames("/error_cm/estimate", "Scalars:scalars") == {}
