@@ -42,10 +42,10 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Pat
 
 
 def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
-    """Reject an output that is an input, replaces a file in a folder that is one, or is inside a bundle or a place.
+    """Reject an output that is an input, replaces a file of a folder that is one, or is inside a bundle or a place.
 
     A new file may lie in a folder that is read. That an older one there is not of the recording is not known before
-    it is opened, so all are kept.
+    it is opened, so all are kept. So are files outside it that its ``dataset.toml`` names.
 
     Args:
         path: the output.
@@ -65,6 +65,10 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
         if folder in target.parents and target.is_file():
             problem = f"{path} lies in {text}, which is read by this command"
             raise SettingError(option, problem, "name a new file, or another place")
+        for named in (Path(os.path.realpath(each)) for each in dataset_description.named_in(folder)):
+            if target.is_file() and (named == target or named in target.parents):
+                problem = f"{path} is read by this command, as {text} names it"
+                raise SettingError(option, problem, "name a new file, or another place")
 
 
 def _paths_in(inputs: Sequence[str | Path | None]) -> Iterator[str]:

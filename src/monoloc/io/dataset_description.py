@@ -13,7 +13,7 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.config import nearest_keys, read_toml
 from monoloc.distortion import COEFFICIENTS, DistortionModel
-from monoloc.errors import DataError, SettingError
+from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.geometry import FloatArray, is_rigid
 from monoloc.io.file_access import require_access, require_file
 from monoloc.io.reader_options import depth_scale_problem
@@ -67,6 +67,22 @@ _NEEDS = {
 _NEAREST = 3  # keys that an unknown one is compared with: "focal_x" has more letters of "scale_sd" than of "fx"
 _MOST_FRAMES = 1_000_000
 _INDEX_FORMAT = re.compile(r"0?\d{0,2}d?")  # a width of a hundred digits and more is no file name
+
+
+_FILE_KEYS = ("color", "depth", "confidence", "poses")
+
+
+def named_in(folder: Path) -> list[Path]:
+    """Files that a folder's ``dataset.toml`` names, of a pattern its folder; none where it cannot be read.
+
+    They may lie outside the folder, as where several recordings share poses.
+    """
+    try:
+        description = DatasetDescription(folder / FILE_NAME)
+        texts = [description.text(key) for key in _FILE_KEYS if description.has(key)]
+    except (MonolocError, OSError):
+        return []
+    return [(folder / f"{text.partition('{')[0]}_").parent if "{" in text else folder / text for text in texts]
 
 
 class DatasetDescription:

@@ -142,6 +142,21 @@ def test_output_in_the_place_of_an_input_is_refused(
     refuses_setting(lambda: check_apart(Path(output), "--out", inputs), "--out", problem, "another place")
 
 
+@pytest.mark.parametrize("source", ["home/L1", "folder:home/L1", "home/L1/dataset.toml"])
+def test_a_file_beside_the_folder_that_its_description_names_is_kept(here: Path, source: str) -> None:
+    """Recordings of one flight in several lights share poses and depth."""
+    for folder in ("home/L1", "home/depth"):
+        (here / folder).mkdir(parents=True)
+    keys = 'color = "{index}.jpg"\ndepth = "../depth/{index:06d}.png"\nposes = "../poses.txt"\n'
+    (here / "home/L1/dataset.toml").write_text(keys)
+    for name in ("home/poses.txt", "home/depth/000000.png"):
+        Path(name).write_text("content")
+        with pytest.raises(SettingError, match=r"--out: .* is read by this command, as home/L1.* names it; .*place"):
+            check_apart(Path(name), "--out", (source,))
+    check_apart(Path("home/trajectory.txt"), "--out", (source,))
+    check_apart(Path("home/depth/new.png"), "--out", (source,))
+
+
 @pytest.mark.parametrize(
     ("outputs", "option", "problem", "fix"),
     [
