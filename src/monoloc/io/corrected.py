@@ -121,13 +121,27 @@ def without_pose_fix(recording: Recording) -> tuple[str, Recording] | None:
     return None
 
 
+def without_depth_fix(recording: Recording) -> tuple[str, Recording] | None:
+    """The fix of its depth that was asked for, and the recording without it; None if none was."""
+    if isinstance(recording, _Converted) and recording.depth_fix is not None:
+        return recording.depth_fix, recording.source
+    if not isinstance(recording, Selection | Turned | _Converted):
+        return None
+    found = without_depth_fix(recording.source)
+    if found is None:
+        return None
+    if isinstance(recording, Selection):
+        return found[0], Selection(found[1], recording.positions)
+    if isinstance(recording, Turned):
+        return found[0], Turned(found[1], recording.quarter_turns)
+    poses, down_world = recording.poses, recording.down_world
+    return found[0], _Converted(found[1], poses, None, down_world, pose_fix=recording.pose_fix)
+
+
 def given_depth_fix(recording: Recording) -> str | None:
     """The fix of its depth that was asked for; None if none was."""
-    while isinstance(recording, Selection | Turned | _Converted):
-        if isinstance(recording, _Converted) and recording.depth_fix is not None:
-            return recording.depth_fix
-        recording = recording.source
-    return None
+    found = without_depth_fix(recording)
+    return None if found is None else found[0]
 
 
 def _with_pose_fixes(recording: Recording, fixes: PoseFixes, pose_fix: str) -> Recording:

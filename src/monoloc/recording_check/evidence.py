@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
-from monoloc.io.corrected import is_seven_scenes, with_depth_fix, with_poses, without_pose_fix
+from monoloc.io.corrected import (
+    given_depth_fix,
+    is_seven_scenes,
+    with_depth_fix,
+    with_poses,
+    without_depth_fix,
+    without_pose_fix,
+)
 from monoloc.io.pose_fixes import CONVENTIONS
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
@@ -81,6 +88,11 @@ class Evidence:
         given = without_pose_fix(self.recording)
         return None if given is None else self.of(given[1], self.matches)
 
+    def without_depth_fix(self) -> tuple[str, Evidence] | None:
+        """The fix of the depth that was asked for, and the same corners with depth as stored; None if none was."""
+        given = without_depth_fix(self.recording)
+        return None if given is None else (given[0], self.of(given[1], self.matches))
+
     def relative(self, poses: FloatArray) -> FloatArray:
         """``T_second_first`` of the pairs, (N, 4, 4), from poses of the recording's frames."""
         return relative_poses(poses, self.matches.frames)
@@ -119,15 +131,17 @@ def other_readings(evidence: Evidence) -> list[Evidence]:
     recording, matches = evidence.recording, evidence.matches
     if not recording.has_depth:
         return []
-    upside_down = with_poses(
-        with_depth_fix(recording, "turned-180"), CONVENTIONS["turned-180"].convert(evidence.poses)
-    )
-    readings = [
-        Evidence(
-            upside_down, matches, None, "images upside down against depth and poses",
-            "--fix-depth turned-180 --fix-poses turned-180",
+    readings = []
+    if given_depth_fix(recording) != "turned-180":  # turned once more, it would be as stored
+        upside_down = with_poses(
+            with_depth_fix(recording, "turned-180"), CONVENTIONS["turned-180"].convert(evidence.poses)
         )
-    ]  # fmt: skip
+        readings.append(
+            Evidence(
+                upside_down, matches, None, "images upside down against depth and poses",
+                "--fix-depth turned-180 --fix-poses turned-180",
+            )
+        )  # fmt: skip
     if is_seven_scenes(recording):
         what = "a camera of your own, whose depth is registered already, in the layout of 7-Scenes"
         is_assumed = recording.camera == COLOR_CAMERA

@@ -104,7 +104,17 @@ def _exact(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _without_fix(evidence: Evidence) -> Iterator[Explanation]:
-    """The poses as they are stored, or with another fix in place of the one that was given."""
+    """Poses or depth as they are stored, or poses with another fix in place of the one that was given."""
+    as_read = evidence.without_depth_fix()
+    if as_read is not None:
+        name, depth_stored = as_read
+        yield Explanation(
+            "the depth is stored", f"{_LEAVE_OUT} --fix-depth {name}", 0, as_stated(depth_stored).median
+        )
+        stored = depth_stored.without_fix()
+        if stored is not None:
+            option = f"{_LEAVE_OUT} --fix-depth {name} and --fix-poses {evidence.pose_fix}"
+            yield Explanation("poses and depth are stored", option, 1, as_stated(stored).median)
     stored = evidence.without_fix()
     if stored is None:
         return

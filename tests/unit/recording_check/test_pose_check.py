@@ -58,6 +58,21 @@ def test_a_fix_that_a_right_recording_did_not_need_is_to_be_left_out(
 
 
 @pytest.mark.parametrize(
+    ("poses", "words", "left_out"),
+    [
+        (None, "the depth is stored", "--fix-depth turned-180"),
+        ("opengl", "poses and depth are stored", "--fix-depth turned-180 and --fix-poses opengl"),
+    ],
+)
+def test_a_fix_of_the_depth_that_a_right_recording_did_not_need_is_to_be_left_out(
+    poses: str | None, words: str, left_out: str
+) -> None:
+    given = corrected(open_recording(f"folder:{BUILD}"), Fixes(poses, "turned-180"))
+    line = refusal(check_poses(Selection(given, range(0, 150, 3))))
+    assert re.fullmatch(rf".*% as {words}; leave out {left_out}", line)
+
+
+@pytest.mark.parametrize(
     ("name", "given", "fix"),
     [("robot", "opengl", "robot in place of opengl"), ("COLMAP", "w-first", "w-first,world-to-camera")],
 )
