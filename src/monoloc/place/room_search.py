@@ -1,8 +1,9 @@
 """Which room of a place a camera is in, of which nothing is known: by the index, then by landmarks.
 
 The index ranks all rooms at a small cost. In the best few, the strict search among all landmarks decides. Two rooms
-that agree nearly alike decide nothing: a wrong room is worse than a lost camera. Of a room that cannot be read, only
-the index tells whether it may be the camera's.
+that agree nearly alike decide nothing, since a wrong room is worse than a lost camera, unless doors join them and
+both find the camera at one place: they overlap there. Of a room that cannot be read, only the index tells whether it
+may be the camera's.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from monoloc.errors import BundleError
+from monoloc.evaluation.consistency import FAR_M
+from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.landmarks.features import Keypoints
 from monoloc.place.loaded_rooms import MOST_LOADED, LoadedRooms
 from monoloc.place.place_files import Place
@@ -30,11 +33,13 @@ class _Found:
     Attributes:
         room: its name.
         agreeing: number of landmarks that agree on one pose without a prior.
+        pose: ``T_room_camera``, (4, 4); None where there is none.
         is_only_place: whether there is such a pose, and no other place of the room looks alike.
     """
 
     room: str
     agreeing: int
+    pose: FloatArray | None
     is_only_place: bool
 
 
@@ -47,7 +52,8 @@ class RoomSearch:
     """
 
     def __init__(self, place: Place, rooms: LoadedRooms) -> None:
-        self._names, self._index, self._rooms = place.names, place.index(), rooms
+        self._place, self._rooms = place, rooms
+        self._names, self._index = place.names, place.index()
 
     def ranked(self, seen: Keypoints, known: str | None = None) -> dict[str, int]:
         """The rooms that are worth a search, best first, and the votes of each.
@@ -70,7 +76,7 @@ class RoomSearch:
         """
         votes = self.ranked(seen, known)
         found = {name: self._found(name, seen) for name in votes}
-        room = _decided([each for each in found.values() if each is not None])
+        room = self._decided([each for each in found.values() if each is not None])
         if room is None or any(
             votes[name] >= _RIVAL_VOTES * votes[room] for name, each in found.items() if each is None
         ):
@@ -84,17 +90,26 @@ class RoomSearch:
         except BundleError:
             return None
         pose, is_only_place = landmarks.best_place(seen)
-        return _Found(name, 0 if pose is None else len(pose.points), is_only_place)
+        if pose is None:
+            return _Found(name, 0, None, is_only_place)
+        return _Found(name, len(pose.points), pose.pose, is_only_place)
 
+    def _decided(self, found: Sequence[_Found]) -> str | None:
+        """The room with the most landmarks, if they are of one place, and no other room has nearly as many elsewhere.
 
-def _decided(found: Sequence[_Found]) -> str | None:
-    """The room with the most landmarks, if they are of one place and no other room has nearly as many.
+        A room whose own places look alike speaks against others all the same.
+        """
+        if not found:
+            return None
+        best = max(found, key=lambda each: each.agreeing)
+        if best.pose is None or not best.is_only_place:
+            return None
+        rivals = [each for each in found if each is not best and each.agreeing >= _RIVAL_SHARE * best.agreeing]
+        return best.room if all(self._is_same_place(best, rival) for rival in rivals) else None
 
-    A room whose own places look alike speaks against others all the same.
-    """
-    ordered = sorted(found, key=lambda each: -each.agreeing)
-    if not ordered or not ordered[0].is_only_place:
-        return None
-    if len(ordered) > 1 and ordered[1].agreeing >= _RIVAL_SHARE * ordered[0].agreeing:
-        return None
-    return ordered[0].room
+    def _is_same_place(self, best: _Found, rival: _Found) -> bool:
+        """Whether both rooms find the camera at one place, by the doors between them."""
+        T_rival_best = self._place.T_other_room(rival.room, best.room)
+        if T_rival_best is None or best.pose is None or rival.pose is None:
+            return False
+        return float(pose_distance_m(rival.pose, (T_rival_best @ best.pose)[None])[0]) < FAR_M

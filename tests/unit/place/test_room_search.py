@@ -10,6 +10,7 @@ import pytest
 
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.errors import BundleError
+from monoloc.geometry import FloatArray
 from monoloc.landmarks.features import KeypointDetector
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -35,8 +36,15 @@ class Loaded(dict[str, Any]):
         raise BundleError(name, "cannot be read", "put it back")
 
 
-def search_among(unreadable: tuple[str, ...] = (), **rooms: Landmarks) -> RoomSearch:
-    place: Any = SimpleNamespace(names=list(rooms), index=lambda: RoomIndex([r.descriptors for r in rooms.values()]))
+def search_among(
+    unreadable: tuple[str, ...] = (), T_other_room: FloatArray | None = None, **rooms: Landmarks
+) -> RoomSearch:
+    """A search among rooms that are all joined by a door whose transform is ``T_other_room``, or by none."""
+    place: Any = SimpleNamespace(
+        names=list(rooms),
+        index=lambda: RoomIndex([room.descriptors for room in rooms.values()]),
+        T_other_room=lambda other, room: T_other_room,
+    )
     loaded = {name: SimpleNamespace(landmarks=OrbLandmarkLocalizer(room, CAMERA)) for name, room in rooms.items()}
     return RoomSearch(place, cast(Any, Loaded({name: loaded[name] for name in loaded if name not in unreadable})))
 
@@ -59,6 +67,18 @@ def test_a_room_whose_places_look_alike_speaks_against_another_that_looks_like_t
         assert search_among(one=one, other=other).find(seen) == "one"
         assert search_among(one=one, two=two).find(seen) is None
         assert search_among(two=two, other=other).find(seen) is None  # its own search could not find the pose
+
+
+def test_two_rooms_that_overlap_find_a_camera_where_both_see_it(landmarks: Landmarks) -> None:
+    """A door between them says that both mean one place, or that what they see alike is elsewhere."""
+    west, east = landmarks, part_of(landmarks, 0.8)
+    elsewhere = np.eye(4)
+    elsewhere[0, 3] = 5.0
+    for pose in POSES[5::20]:
+        seen = KeypointDetector(CAMERA)(Room().view(pose)[0])
+        assert search_among(T_other_room=np.eye(4), west=west, east=east).find(seen) == "west"
+        assert search_among(T_other_room=elsewhere, west=west, east=east).find(seen) is None
+        assert search_among(west=west, east=east).find(seen) is None
 
 
 def test_a_room_that_cannot_be_read_is_left_out_unless_the_view_may_be_of_it(landmarks: Landmarks) -> None:
