@@ -17,6 +17,7 @@ import time
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,7 +37,10 @@ from monoloc.io.pose_table import COLUMNS, read_pose_table
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.rosbag import read as read_rosbag
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.localizer import Localizer
+from monoloc.mavlink.autopilot_link import Attitude, AutopilotLink
 from monoloc.odometry.gyroscope import Gyroscope
+from monoloc.step import Step
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, plausible_integrity
 
 FRAMES = 12
@@ -320,6 +324,27 @@ def test_a_doctors_report_is_written(capfd: Capture, here: Path) -> None:
     report = json.loads((here / "report.json").read_text())
     assert report["findings"] and report["source"] == "recording"
     assert str(here) not in (here / "report.json").read_text()
+
+
+def test_a_doctor_compares_the_mount_with_a_pose_that_knows_nothing_of_the_autopilots_attitude(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no landmark is seen, gravity by a mount that is 10 degrees wrong would turn the pose by seven of them."""
+    bundle = read_bundle("room.monoloc")
+    level = bundle.provenance.model_copy(update={"down_world": (0.0, 1.0, 0.0), "knows_down": True})
+    write_bundle("level.monoloc", replace(bundle, provenance=level))
+    used: list[object] = []
+    step = Localizer.step
+
+    def watched(self: Localizer, *frame: Any, down: object = None, **given: Any) -> Step:
+        used.append(down)
+        return step(self, *frame, **given)
+
+    monkeypatch.setattr(Localizer, "step", watched)
+    monkeypatch.setattr(AutopilotLink, "attitude_at", lambda self, time_s: Attitude(time_s, 0.0, 0.0, 0.0))
+    link = ("--mavlink", "udpout:127.0.0.1:9", "--firmware", "px4")
+    assert invoke(["doctor", "level.monoloc", "flight", "--seconds", "1", *link]) in (0, 1, 2)
+    assert used and set(used) == {None}
 
 
 def test_a_doctor_reports_a_camera_that_cannot_be_opened(capfd: Capture, here: Path) -> None:

@@ -40,7 +40,7 @@ from monoloc.cli.output_checks import check_outputs
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import DataError, SettingError
 from monoloc.files import json_text, write_whole
-from monoloc.flight.autopilot import frames_of, gravity_of, tells_gravity
+from monoloc.flight.autopilot import frames_of, tells_gravity
 from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_inputs import OtherSensors
@@ -118,7 +118,7 @@ def doctor(
         if link is not None and tells_gravity(flown, flight.settings):
             mount = MountCheck(frames_of(flown, flight.settings), link.attitude_at)
             outputs.append(mount)
-        camera, failure = _look(flight, flown, link, frames, seconds, outputs, summary)
+        camera, failure = _look(flight, flown, frames, seconds, outputs, summary)
         errors = None if mount is None else mount.errors
         heard = None if link is None else _ask(link, flight, errors)
     findings = preflight.findings(summary, heard, failure)
@@ -136,7 +136,6 @@ def doctor(
 def _look(
     flight: FlightFile,
     flown: FlownMap,
-    link: AutopilotLink | None,
     frames: str,
     seconds: float,
     outputs: list[FlightOutput],
@@ -162,7 +161,7 @@ def _look(
                 outputs,
                 flight.settings.most_age_s,
                 starting,
-                OtherSensors(gravity_of(flown, link, flight.settings)),
+                OtherSensors(),  # gravity by a wrong mount would turn the pose that the mount is checked by
                 summary,
                 made.in_place,
             ).run(lambda: time.monotonic() > end_s)
