@@ -135,8 +135,9 @@ class FrontEnd:
             plan: number of scan points, and whether depth and landmarks have their turn; None as the settings say.
 
         Raises:
-            ValueError: the image does not have the camera's size or type, time runs backwards or jumps by more than
-                :data:`MOST_ELAPSED_S`, or the motion does not state its noise; nothing has changed then.
+            ValueError: the image does not have the camera's size or type, time is no number, runs backwards or
+                jumps by more than :data:`MOST_ELAPSED_S`, or the motion does not state its noise; nothing has changed
+                then.
             TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
             ValueError, TypeError: a component returns what its protocol does not allow.
         """
@@ -146,8 +147,9 @@ class FrontEnd:
         if measured_motion is not None:
             _check_noise(_checked_motion(measured_motion, "measured_motion"))
         elapsed_s = 0.0 if self._is_first else elapsed_s
-        if not 0.0 <= elapsed_s <= MOST_ELAPSED_S:
-            raise ValueError(f"elapsed_s must be from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s}")
+        is_number = np.ndim(elapsed_s) == 0 and np.asarray(elapsed_s).dtype.kind in "fiu"
+        if not (is_number and 0.0 <= elapsed_s <= MOST_ELAPSED_S):
+            raise ValueError(f"elapsed_s must be a number from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s!r}")
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
         has_depth = plan is None or plan.has_depth
         is_predicted = measured_depth is None and has_depth
@@ -278,6 +280,9 @@ def _checked_motion(motion: object, what: str) -> Motion:
         raise ValueError(f"{what} must have a rigid T_previous_current, (4, 4)")
     if covariance is not None and not (np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()):
         raise ValueError(f"{what} must have a finite view_covariance, (6, 6)")
+    for sd in (motion.translation_sd_m, motion.rotation_sd_rad):
+        if sd is not None and not 0.0 < sd < np.inf:
+            raise ValueError(f"{what} must have positive and finite standard deviations, got {sd}")
     return motion
 
 

@@ -23,6 +23,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
+from monoloc.odometry.motion import Motion
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles, normalised, scatter
@@ -69,9 +70,13 @@ def test_refused_frame_changes_nothing(
     for each in (localizer, twin):
         follow(each, recording, range(2))
     color, depth = recording.color(2), sparse_depth(recording, 2)
-    for elapsed_s in (-0.01, 1e200):
+    for elapsed_s in (-0.01, 1e200, float("nan"), None, "0.1", np.array([0.1])):
         with pytest.raises(ValueError, match="elapsed_s"):
-            localizer.step(color, elapsed_s, depth)
+            localizer.step(color, cast(float, elapsed_s), depth)
+    for noise in ((np.nan, 0.01), (0.01, np.inf), (-0.01, 0.01)):
+        motion = Motion(np.eye(4), translation="metric", translation_sd_m=noise[0], rotation_sd_rad=noise[1])
+        with pytest.raises(ValueError, match="measured_motion"):
+            localizer.step(color, FRAME_S, depth, measured_motion=motion)
     with pytest.raises(ValueError, match="color"):
         localizer.step(color[:, ::2], FRAME_S, depth)
     with pytest.raises(ValueError, match="the room's surfaces do not tell its direction"):
