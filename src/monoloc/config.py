@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
@@ -125,6 +126,7 @@ def _first_problem(error: ValidationError) -> tuple[str, str]:
 
 def in_plain_words(message: str) -> str:
     """A message of pydantic without how it parses."""
+    message = re.sub(r"a valid dictionary( or instance of \w+)?$", "one table, as [...] and not [[...]]", message)
     return (
         message.removeprefix("Value error, ")
         .split(", unable to parse")[0]

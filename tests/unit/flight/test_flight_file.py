@@ -71,6 +71,8 @@ def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
         (MARKER + "rpy_deg = [1e200, 0, 0]\n", "marker.0.rpy_deg.0: must be less than or equal to 360"),
         ("out = 1\n", "out: must be a path, in quotes"),
         ("[marker]\nid = 7\n", r"marker: must be a list, .*\[\[\.\.\.\]\]"),
+        ("[[mount]]\npitch_deg = -15\n", r"mount: must be one table, as \[\.\.\.\] and not \[\[\.\.\.\]\]"),
+        ("mount = -15\n", r"mount: must be one table, as \[\.\.\.\]"),
         ('record = "a\\u0000b"\n', "record: holds a null character"),
         ('source = "7scenes:a\\u0000b"\n', "source: holds a null character"),
     ],
