@@ -141,6 +141,8 @@ def check_viewing(view: bool, record: Path | None = None, instead: str = RECORD_
 def _check_parent(path: Path, option: str) -> None:
     parent = path.absolute().parent
     if not parent.is_dir():
+        if parent.exists():
+            raise SettingError(option, f"{path.parent} is a file", "name a place in a folder")
         raise SettingError(option, f"{path.parent} does not exist", "make the folder first")
     if not os.access(parent, os.W_OK):
         raise SettingError(option, f"{path.parent} cannot be written to", "choose another folder")

@@ -161,6 +161,7 @@ def test_a_file_beside_the_folder_that_its_description_names_is_kept(here: Path,
     ("outputs", "option", "problem", "fix"),
     [
         ({"--out": "no/file"}, "--out", "no does not exist", "make the folder first"),
+        ({"--out": "room.xyz/file"}, "--out", "room.xyz is a file", "name a place in a folder"),
         ({"--out": "run"}, "--out", "run is a folder", "name a file"),
         ({"--out": "pipe"}, "--out", "pipe is neither a file nor a folder", "name a file"),
         ({"--out": "/dev/null"}, "--out", "/dev/null is neither a file nor a folder", "name a file"),
