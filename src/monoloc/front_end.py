@@ -20,6 +20,7 @@ from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_fr
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
+from monoloc.odometry.standing_image import StandingImage
 from monoloc.particle_filter.motion_model import motion_sd
 from monoloc.second_thread import SecondThread
 from monoloc.step_budget import Stage, StepPlan
@@ -40,10 +41,11 @@ class Observation:
     Attributes:
         elapsed_s: since the previous frame, 0 at the first.
         is_first: whether there is no previous frame.
-        is_repeated: whether the image is the previous one, bit for bit. It says nothing of the camera's motion, so
-            there is no scan, and no motion unless it is black and another sensor measured one.
+        is_repeated: whether the image is the previous one, bit for bit, or stands still although another sensor
+            measures a turn. It says nothing of the camera's motion, so there is no scan, and no motion but that of
+            the other sensor.
         repeated_s: for how long the image has been the same.
-        waits: whether this image repeats the previous one, so that only the next one shows the motion.
+        waits: whether this image repeats the previous one bit for bit, so that only the next one shows the motion.
         motion_s: time that the motion is of: since the previous frame, or since the last one that did not wait.
         is_empty: whether the image has no contrast.
         depth_is_predicted: whether the network predicts this flight's depth, in this frame or in others.
@@ -107,13 +109,15 @@ class FrontEnd:
         self._rng, self._second_thread = rng, second_thread
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
-        self._repeated_s = self._waited_s = 0.0
+        self._repeated_s = self._waited_s = self._stood_s = 0.0
+        self._standing = StandingImage()
         self._depth_camera = camera  # of the last depth image
         self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
 
     def reset(self) -> None:
         """Take the next frame as the first."""
         self._is_first, self._previous, self._measured, self._waited_s = True, None, [], 0.0
+        self._standing.reset()
 
     def observe(
         self,
@@ -162,6 +166,9 @@ class FrontEnd:
         motion_s = elapsed_s if waits else self._waited_s + elapsed_s
         motion = None if waits else self._motion(color, depth_of, is_repeated, motion_s)
         motion = None if self._is_first else motion  # since before a reset
+        if not waits:
+            is_repeated = is_repeated or self._stood_s > 0.0
+            self._repeated_s = max(self._repeated_s, self._stood_s)
         depth, scan = depth_of(), EMPTY_SCAN
         self._waited_s = self._waited_s + elapsed_s if waits else 0.0
         if depth is not None:
@@ -215,6 +222,7 @@ class FrontEnd:
     ) -> Motion | None:
         """The motion since the previous call, by the odometry and the other sensor."""
         measured, self._measured = chained(self._measured), []
+        self._stood_s = 0.0
         if self._odometry is None or is_repeated:
             return measured
         rotation = None if measured is None else measured.T_previous_current[:3, :3]
@@ -230,7 +238,8 @@ class FrontEnd:
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:
             _checked_motion(odometry, "the result of Components.odometry")
-        return self._best(odometry, measured, elapsed_s)
+        self._stood_s = self._standing.update(odometry, measured, elapsed_s)
+        return measured if self._stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
 
     def _best(self, odometry: Motion | None, measured: Motion | None, elapsed_s: float) -> Motion | None:
         """The motion that states the smaller noise; corners are the odometry's.

@@ -342,3 +342,20 @@ def test_motion_without_its_noise_is_refused_and_changes_nothing() -> None:
     with pytest.raises(ValueError, match="measured_motion must state its noise"):
         front_end.observe(COLOR, 0.1, None, None, Motion(np.eye(4)))
     assert odometry.calls == 0 and front_end.observe(COLOR, 0.1, None, None).is_first
+
+
+def test_an_image_that_shows_nothing_of_a_measured_turn_counts_as_repeated() -> None:
+    """A stream that froze under a clock: no image is the one before, and odometry finds the camera at rest."""
+    turned = Motion.rotation(so3_exp([0.0, 0.03, 0.0]), 0.003)
+    at_rest = Motion(np.eye(4), 50, np.tile([[0.0, 0.0, 2.0]], (50, 1)), np.full(50, 0.02))
+    front_end = make_front_end(_Odometry(*[at_rest] * 12))
+    for index in range(12):
+        image = COLOR.copy()
+        image[0, 0] = index
+        seen = front_end.observe(image, 0.1, None, None, turned)
+        if index < 3:  # the first motion is that of the second frame
+            assert not seen.is_repeated and len(seen.scan) > 0
+    assert seen.is_repeated and not seen.waits and not seen.image_is_new and len(seen.scan) == 0
+    assert seen.repeated_s > 0.5 and seen.motion is turned and not seen.odometry_tracked
+    front_end.reset()
+    assert not front_end.observe(image, 0.1, None, None, turned).repeated_s > 0.5

@@ -33,7 +33,7 @@ class Reason(Enum):
     IMAGE_EMPTY = "image empty"
     """The image has no contrast: dark, covered or saturated."""
     IMAGE_REPEATED = "image repeated"
-    """The camera gives the same image again and again."""
+    """The camera gives the same image again and again, or one that shows nothing of a turn that was measured."""
     NO_ODOMETRY = "no odometry"
     """Odometry did not follow the camera."""
     BELIEF_DOUBTFUL = "belief doubtful"
