@@ -27,6 +27,7 @@ from monoloc.particle_filter.estimate import Estimate
 from monoloc.parts import leave_out
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
+from monoloc.settled_objects import settled
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, level_counts
@@ -194,7 +195,7 @@ def localize(
     log = _Log(recording, None if start is None else start.pose)
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
     viewer.begin(bundle, recording)
-    with progress.task("localize", len(recording)) as show:
+    with settled(), progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
             color = recording.color(index)
             unseen = fingerprint(color) not in build_frames

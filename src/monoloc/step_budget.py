@@ -16,7 +16,8 @@ _FEW_PARTICLES, _FEW_POINTS = 100, 100
 # Times of a stage that its cost is estimated from, the least number of each with which a level is chosen, and the
 # percentile that counts: of many times, single ones, in which the system did something else, do not.
 _KEPT, _LEAST_KEPT, _SLOW = 50, 2, 0.95
-# The level falls where it would have kept the budget with this share of it for so many frames, and rises at once.
+# The level falls where it would have kept the budget with this share of it for so many frames, and rises at once. The
+# first one keeps it with this share, too.
 _CALM_SHARE, _CALM_FRAMES = 0.9, 50
 # A part of a weighing's time does not depend on how many particles and points there are: with a sixth of their
 # product, it takes 0.43 times as long.
@@ -135,7 +136,8 @@ class StepBudget:
     def _choose(self) -> None:
         if not self._is_chosen or self._expected_ms(self.level) > self._budget_ms:
             possible = [level for level in Level if level > self.level or not self._is_chosen]
-            kept = (level for level in possible if self._expected_ms(level) <= self._budget_ms)
+            share = 1.0 if self._is_chosen else _CALM_SHARE
+            kept = (level for level in possible if self._expected_ms(level) <= share * self._budget_ms)
             self.level = next(kept, max(Level))
             self._is_chosen, self._calm_frames = True, 0
             return

@@ -58,13 +58,13 @@ def test_nothing_grows_and_a_camera_that_is_not_followed_is_measured_in_every_fr
     ("budget_ms", "level"),
     [
         (30.0, Level.FULL),
-        (21.5, Level.FEWER_PARTICLES),
-        (20.8, Level.FEWER_SCAN_POINTS),
-        (16.0, Level.IN_TURN),
+        (24.5, Level.FEWER_PARTICLES),
+        (23.2, Level.FEWER_SCAN_POINTS),
+        (17.0, Level.IN_TURN),
         (5.0, Level.IN_TURN),
     ],
 )
-def test_the_level_is_the_first_that_keeps_the_budget(budget_ms: float, level: Level) -> None:
+def test_the_level_is_the_first_that_keeps_the_budget_with_a_tenth_to_spare(budget_ms: float, level: Level) -> None:
     computer = Computer()
     budget = budget_on(computer, budget_ms)
     taken_ms = [computer.step(budget, index) for index in range(200)]
@@ -75,7 +75,7 @@ def test_the_level_is_the_first_that_keeps_the_budget(budget_ms: float, level: L
 
 def test_single_slow_steps_change_nothing() -> None:
     computer = Computer()
-    budget = budget_on(computer, 25.0)
+    budget = budget_on(computer, 26.0)
     for index in range(200):
         computer.rest_ms = 60.0 if index % 60 == 30 else 8.0
         computer.step(budget, index)

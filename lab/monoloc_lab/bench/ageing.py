@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,8 +23,8 @@ from monoloc.run import localize
 from monoloc.start import Start
 from monoloc.supervision.state import VOUCHED_FOR
 from monoloc.updating.apply_update import applied
-from monoloc.updating.observed_flight import observe
-from monoloc.updating.proposals import proposals
+from monoloc.updating.observed_flight import ObservedFlight, observe
+from monoloc.updating.proposals import Proposal, proposals
 from monoloc.updating.room_evidence import Evidence
 from monoloc.updating.update_rules import UpdateRules
 from monoloc_lab.rooms import TESTS
@@ -41,7 +42,7 @@ class Days:
     Attributes:
         moved: names of what was moved before each day's flight.
         build: of the round before anything was moved.
-        flights: one a day.
+        flights: of each day, at least one.
         test: another flight on the last day.
         fresh: of the round on the last day, as the build.
         other_room: of a flight elsewhere.
@@ -49,7 +50,7 @@ class Days:
 
     moved: list[list[str]]
     build: Recording
-    flights: list[Recording]
+    flights: list[list[Recording]]
     test: Recording
     fresh: Recording
     other_room: Recording
@@ -74,10 +75,11 @@ class ErrorFigures:
 
 @dataclass(frozen=True)
 class DayFigures:
-    """One day: what was moved, how the day's flight went on both maps before the update, and what was updated.
+    """One day: what was moved, how the day's first flight went on both maps before the update, and what was updated.
 
     Attributes:
-        refusal: why the flight added no evidence; None if it did.
+        refusal: why flights of the day added no evidence; None if all did.
+        usable_frames: of all flights of the day.
         applied: number of landmarks or voxels that each kind of proposal changed.
         undo_bytes: that the day's edits take.
     """
@@ -111,11 +113,12 @@ class AgeingFigures:
     landmarks: tuple[int, int, int]
 
 
-def rendered_days(days: int, moves: int, seed: int, out: Path, progress: Progress) -> Days:
+def rendered_days(days: int, moves: int, flights: int, seed: int, out: Path, progress: Progress) -> Days:
     """Render the days; what an earlier call rendered is reused.
 
     Args:
         moves: objects that are moved before each day.
+        flights: of each day.
 
     Raises:
         MissingExtraError: Mitsuba is not installed.
@@ -124,17 +127,21 @@ def rendered_days(days: int, moves: int, seed: int, out: Path, progress: Progres
     out.mkdir(exist_ok=True)
     room = generate_room(seed)
     planned = plan_round(room, seed)
-    paths, moved = [render_round(room, planned, _SAMPLES, 0, out / "day-00", progress)], []
+    build = render_round(room, planned, _SAMPLES, 0, out / "day-00", progress)
+    moved, flown_on = list[list[str]](), list[list[Recording]]()
     for day in range(1, days + 1):
         room, names = changed(room, planned, moves, np.random.default_rng((seed, 1, day)))
         moved.append(names)
-        today = flown(planned, np.random.default_rng((seed, 2, day)))
-        paths.append(render_round(room, today, _SAMPLES, day, out / f"day-{day:02d}", progress))
+        flown_on.append([])
+        for flight in range(flights):
+            name, key = (f"day-{day:02d}-{flight}", (day, flight)) if flight else (f"day-{day:02d}", (day,))
+            today = flown(planned, np.random.default_rng((seed, 2, *key)))
+            noise = flight * (days + 3) + day
+            flown_on[-1].append(_opened(render_round(room, today, _SAMPLES, noise, out / name, progress)))
     again = flown(planned, np.random.default_rng((seed, 2, days + 1)))
     test = render_round(room, again, _SAMPLES, days + 1, out / "test", progress)
     fresh = render_round(room, planned, _SAMPLES, days + 2, out / "fresh", progress)
-    build, *flights = map(_opened, paths)
-    return Days(moved, build, flights, _opened(test), _opened(fresh), _opened(TESTS["L1"]))
+    return Days(moved, _opened(build), flown_on, _opened(test), _opened(fresh), _opened(TESTS["L1"]))
 
 
 def bench_ageing(days: Days, is_sensor_depth: bool, starts: int, seed: int, progress: Progress) -> AgeingFigures:
@@ -151,27 +158,29 @@ def bench_ageing(days: Days, is_sensor_depth: bool, starts: int, seed: int, prog
     figures = []
     poisoned, poison_changed = None, False
     with progress.task("days", len(days.flights)) as show:
-        for day, (moved, recording) in enumerate(zip(days.moved, days.flights, strict=True), start=1):
-            never_updated, updated = (_errors(each, recording, starts, seed) for each in (built, bundle))
+        for day, (moved, recordings) in enumerate(zip(days.moved, days.flights, strict=True), start=1):
+            never_updated, updated = (_errors(each, recordings[0], starts, seed) for each in (built, bundle))
             if day == (len(days.flights) + 1) // 2:
                 flight = observe(bundle, days.other_room, None, False, frozenset(), rules, rng, NoProgress())
                 poisoned = flight.refusal
                 poison_changed = evidence.after_flight(bundle, flight, False, rules, rng) is not evidence
-            known = frozenset(evidence.frames)
-            flight = observe(bundle, recording, None, is_sensor_depth, known, rules, rng, NoProgress())
-            evidence = evidence.after_flight(bundle, flight, is_sensor_depth, rules, rng)
-            proposed = proposals(evidence, bundle, rules)
-            count = len(bundle.edits)
-            bundle, evidence = applied(bundle, evidence, proposed, rules, rng)
-            kinds = sorted({each.kind for each in proposed})
+            count, refusals, usable, changes = len(bundle.edits), [], 0, Counter[str]()
+            for recording in recordings:
+                flight, proposed, bundle, evidence = _flight_applied(
+                    bundle, evidence, recording, is_sensor_depth, rules, rng
+                )
+                refusals += [flight.refusal] if flight.refusal else []
+                usable += len(flight.frames)
+                for each in proposed:
+                    changes[each.kind] += len(each.members)
             figures.append(
                 DayFigures(
                     moved=moved,
                     never_updated=never_updated,
                     updated=updated,
-                    refusal=flight.refusal,
-                    usable_frames=len(flight.frames),
-                    applied={kind: sum(len(p.members) for p in proposed if p.kind == kind) for kind in kinds},
+                    refusal="; ".join(refusals) or None,
+                    usable_frames=usable,
+                    applied=dict(sorted(changes.items())),
                     undo_bytes=sum(len(edit.undo) for edit in bundle.edits[count:]),
                 )
             )
@@ -186,6 +195,22 @@ def bench_ageing(days: Days, is_sensor_depth: bool, starts: int, seed: int, prog
         poison_changed=poison_changed,
         landmarks=(len(built.landmarks), len(bundle.landmarks), len(fresh.landmarks)),
     )
+
+
+def _flight_applied(
+    bundle: Bundle,
+    evidence: Evidence,
+    recording: Recording,
+    is_sensor_depth: bool,
+    rules: UpdateRules,
+    rng: np.random.Generator,
+) -> tuple[ObservedFlight, list[Proposal], Bundle, Evidence]:
+    """A flight, all that is proposed after it, and bundle and evidence with that applied."""
+    known = frozenset(evidence.frames)
+    flight = observe(bundle, recording, None, is_sensor_depth, known, rules, rng, NoProgress())
+    evidence = evidence.after_flight(bundle, flight, is_sensor_depth, rules, rng)
+    proposed = proposals(evidence, bundle, rules)
+    return flight, proposed, *applied(bundle, evidence, proposed, rules, rng)
 
 
 def as_json(figures: AgeingFigures) -> dict[str, object]:

@@ -24,6 +24,7 @@ def ageing(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder that keeps the renderings.")],
     days: Annotated[int, typer.Option("--days", min=1, max=100, help="Number of days.")] = 10,
     moves: Annotated[int, typer.Option("--moves", min=0, help="Objects that are moved before each day.")] = 3,
+    flights: Annotated[int, typer.Option("--flights", min=1, help="Flights a day that update the map.")] = 1,
     room: Annotated[
         int, typer.Option("--room", min=0, help="Seed of the room, of what is moved and of flights.")
     ] = 4,
@@ -32,7 +33,7 @@ def ageing(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Move furniture day by day, update the map from one flight a day, and compare it with a fresh build.
+    """Move furniture day by day, update the map from each day's flights, and compare it with a fresh build.
 
     It needs the extra synth of monoloc-lab, and LLVM 17 or newer to render in minutes.
 
@@ -43,7 +44,7 @@ def ageing(
     """
     check_folder(out, "--out")
     progress = ConsoleProgress(stderr)
-    recordings = rendered_days(days, moves, room, out, progress)
+    recordings = rendered_days(days, moves, flights, room, out, progress)
     cv2.setNumThreads(1)  # as in a flight
     figures = bench_ageing(recordings, sensor, starts, seed, progress)
     if json:

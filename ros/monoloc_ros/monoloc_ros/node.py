@@ -30,6 +30,7 @@ from monoloc.obstacles import tells_obstacles
 from monoloc.place.flown_map import MapLocalizer, open_map
 from monoloc.ros.ros_frames import FrameNames, RosFrames, down_camera, pose_of
 from monoloc.ros.step_messages import OBSTACLES, POSE, STATE, TF, StepMessages
+from monoloc.settled_objects import settled
 from monoloc_ros.conversion import KINDS, filled
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # images that wait would be old
@@ -246,7 +247,8 @@ def main() -> None:
         rclpy.try_shutdown()
         sys.exit(2)
     try:
-        rclpy.spin(node)
+        with settled():
+            rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

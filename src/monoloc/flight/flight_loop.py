@@ -19,6 +19,7 @@ from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.settled_objects import settled
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, level_counts
@@ -243,15 +244,16 @@ class Flight:
         Raises:
             DataError: the camera's images are of another size, or cannot be read.
         """
-        while not stop():
-            try:
-                frame = self._source.next(_WAIT_S)
-            except EndOfStreamError:
-                break
-            if frame is not None and self._is_in_time(frame) and self._begins(frame):
-                self._localize(frame)
-            else:
-                self._hand_on(methodcaller("idle", self._source.now_s()))
+        with settled():
+            while not stop():
+                try:
+                    frame = self._source.next(_WAIT_S)
+                except EndOfStreamError:
+                    break
+                if frame is not None and self._is_in_time(frame) and self._begins(frame):
+                    self._localize(frame)
+                else:
+                    self._hand_on(methodcaller("idle", self._source.now_s()))
 
     def _is_in_time(self, frame: LiveFrame) -> bool:
         self._summary.dropped["skipped"] += frame.sequence - self._sequence - 1

@@ -18,6 +18,7 @@ from monoloc.io.recording import Recording
 from monoloc.place.place_files import Place
 from monoloc.place.place_localizer import PlaceLocalizer, PlaceStep
 from monoloc.progress import Progress
+from monoloc.settled_objects import settled
 from monoloc.supervision.state import State
 
 
@@ -98,7 +99,7 @@ def localize_in_place(
     switches: list[Switch] = []
     step_ms, loaded, room = [], 0, None
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
-    with progress.task("localize", len(recording)) as show:
+    with settled(), progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
             color = recording.color(index)
             began = time.perf_counter()
