@@ -233,6 +233,16 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
     """
     path = Path(path)
     content = manifest_content(path)
+    try:
+        return _read(path, content, public_key)
+    except BundleError:
+        if manifest_content(path) == content:
+            raise
+    return read_bundle(path, public_key)  # another command has replaced it meanwhile
+
+
+def _read(path: Path, content: bytes, public_key: str | Path | None) -> Bundle:
+    """The bundle of a manifest."""
     if public_key is not None:
         check_signature(path, content, Path(public_key))
     manifest = parse_manifest(content, path / MANIFEST)

@@ -32,6 +32,7 @@ MOST_ELAPSED_S = 1e12
 """Between two frames. A clock that is set from 1970 jumps by less, and nanoseconds read as seconds mostly do too."""
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
+_MOST_SPEED_M_S, _LEAST_MOVED_S = 50.0, 0.05  # of a camera, and the time up to which its stamps may be off
 
 
 @dataclass(frozen=True)
@@ -140,20 +141,20 @@ class FrontEnd:
 
         Raises:
             ValueError: the image does not have the camera's size or type, time is no number, runs backwards or
-                jumps by more than :data:`MOST_ELAPSED_S`, or the motion does not state its noise; nothing has changed
-                then.
+                jumps by more than :data:`MOST_ELAPSED_S`, or the motion does not state its noise or is faster than
+                50 m/s; nothing has changed then.
             TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
             ValueError, TypeError: a component returns what its protocol does not allow.
         """
         self._check_image(color)
         if measured_depth is not None:
             _checked_depth(measured_depth, "measured_depth")
-        if measured_motion is not None:
-            _check_noise(_checked_motion(measured_motion, "measured_motion"))
         elapsed_s = 0.0 if self._is_first else elapsed_s
         is_number = np.ndim(elapsed_s) == 0 and np.asarray(elapsed_s).dtype.kind in "fiu"
         if not (is_number and 0.0 <= elapsed_s <= MOST_ELAPSED_S):
             raise ValueError(f"elapsed_s must be a number from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s!r}")
+        if measured_motion is not None:
+            _check_measured(_checked_motion(measured_motion, "measured_motion"), elapsed_s)
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
         has_depth = plan is None or plan.has_depth
         is_predicted = measured_depth is None and has_depth
@@ -295,6 +296,9 @@ def _checked_motion(motion: object, what: str) -> Motion:
     return motion
 
 
-def _check_noise(motion: Motion) -> None:
+def _check_measured(motion: Motion, elapsed_s: float) -> None:
     if motion.rotation_sd_rad is None:
         raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")
+    moved_m = float(np.linalg.norm(motion.T_previous_current[:3, 3]))
+    if elapsed_s > 0.0 and moved_m > _MOST_SPEED_M_S * max(elapsed_s, _LEAST_MOVED_S):
+        raise ValueError(f"measured_motion moves by {moved_m:.3g} m in {elapsed_s:.3g} s; give metres")

@@ -165,8 +165,8 @@ class Localizer:
 
         Raises:
             ValueError: the image does not have the camera's size or type, time runs backwards, ``down`` is not a
-                direction or that of the room is unknown, or ``measured_motion`` does not state its noise; the
-                localizer is then unchanged.
+                direction or that of the room is unknown, or ``measured_motion`` does not state its noise or is faster
+                than 50 m/s; the localizer is then unchanged.
             TypeError: ``measured_depth`` or ``measured_motion`` has the wrong type; the localizer is then unchanged.
             ValueError, TypeError: a component of your own returns what its protocol does not allow.
         """

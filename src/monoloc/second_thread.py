@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -19,7 +20,8 @@ class SecondThread:
     """
 
     def __init__(self, exists: bool) -> None:
-        self._pool = ThreadPoolExecutor(1, "monoloc step") if exists else None
+        self._exists = exists
+        self._pool, self._process = ThreadPoolExecutor(1, "monoloc step"), os.getpid()
 
     def begin(self, work: Callable[[], _Result], is_needed: bool = True) -> Callable[[], _Result]:
         """Have work done, once; the function that is returned gives its result.
@@ -29,5 +31,8 @@ class SecondThread:
         Args:
             is_needed: whether the result will be asked for. If not, the work is done only when it is.
         """
-        future = self._pool.submit(work) if self._pool is not None and is_needed else None
-        return cache(work if future is None else future.result)
+        if not self._exists or not is_needed:
+            return cache(work)
+        if self._process != os.getpid():  # after a fork, which leaves the thread behind
+            self._pool, self._process = ThreadPoolExecutor(1, "monoloc step"), os.getpid()
+        return cache(self._pool.submit(work).result)

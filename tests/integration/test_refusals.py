@@ -219,6 +219,13 @@ def with_trajectory(here: Path) -> None:
             "is a camera file by another name",
             "NAME.toml",
         ),
+        (
+            nothing,
+            ("calibrate", "camera", "pictures", "--size", "1280x720", "--out", "c.toml"),
+            "--size",
+            "has no meaning for pictures and videos",
+            "leave it out",
+        ),
         (nothing, ("calibrate", "board", "--out", "board.png"), "--out", "is a PDF by another name", "NAME.pdf"),
         (
             nothing,

@@ -198,6 +198,20 @@ def test_older_bundle_is_replaced_whole(written, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]
 
 
+def test_bundle_that_is_replaced_while_it_is_read_is_read_again(written, monkeypatch):
+    """As by an edit: the manifest of one and the contents of the other do not fit."""
+    checked, replaced = bundle.parse_manifest, []
+
+    def parse(content, path):
+        if not replaced:
+            replaced.append(path)
+            write_bundle(written, make_bundle(seed=5))
+        return checked(content, path)
+
+    monkeypatch.setattr(bundle, "parse_manifest", parse)
+    assert read_bundle(written).depth_model == make_bundle(seed=5).depth_model and replaced
+
+
 def test_relative_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_bundle(Path("room.monoloc"), make_bundle())

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc.bundle import Bundle
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.fusion.bias_model import BiasModel
-from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
+from monoloc.geometry import FloatArray, invert, is_rigid, make_pose, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose, NoLandmarks
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.ray import RayLikelihood
@@ -77,6 +77,9 @@ def test_refused_frame_changes_nothing(
         motion = Motion(np.eye(4), translation="metric", translation_sd_m=noise[0], rotation_sd_rad=noise[1])
         with pytest.raises(ValueError, match="measured_motion"):
             localizer.step(color, FRAME_S, depth, measured_motion=motion)
+    millimetres = make_pose(np.eye(3), [0.0, 0.0, 20.0])
+    with pytest.raises(ValueError, match=r"measured_motion moves by 20 m in .* s; give metres"):
+        localizer.step(color, FRAME_S, depth, measured_motion=Motion.metric(millimetres, 0.01, 0.01))
     with pytest.raises(ValueError, match="color"):
         localizer.step(color[:, ::2], FRAME_S, depth)
     with pytest.raises(ValueError, match="the room's surfaces do not tell its direction"):

@@ -444,11 +444,15 @@ BUDGET: tuple[Sentence, ...] = (
         [thread_ratio(room) for room in ("RedKitchen", "desk")],
     ),
     (
-        "In RedKitchen with two threads, the 95th percentile is {} ms ({}–{}), and the 99th {} ms ({}–{}).",
-        [number for name in ("p95_ms", "p99_ms") for number in over_builds(timed("RedKitchen", 2, 10), name)],
+        "and there by {} of {} builds**: the 95th percentile is {} ms ({}–{}), and the 99th {} ms ({}–{}).",
+        [
+            that_keep(10, "RedKitchen", 2, "p99_ms"),
+            3,
+            *(number for name in ("p95_ms", "p99_ms") for number in over_builds(timed("RedKitchen", 2, 10), name)),
+        ],
     ),
     ("**In RedKitchen, {} of {} builds keep a budget", [that_keep(15, "RedKitchen", 2, "p99_ms"), 3]),
-    ("There, {} of {} builds keep a budget of 15 ms in 95 %", [that_keep(15, "desk", 2, "p95_ms"), 3]),
+    ("There, {} of {} builds keeps a budget of 15 ms in 95 %", [that_keep(15, "desk", 2, "p95_ms"), 3]),
     (
         "raise the RMSE from {} to {} cm in RedKitchen and from {} to {} cm at the desk",
         [
@@ -462,7 +466,7 @@ BUDGET: tuple[Sentence, ...] = (
 
 def test_budgets_are_kept_no_further() -> None:
     assert that_keep(15, "RedKitchen", 1, "p99_ms") == that_keep(15, "RedKitchen", 2, "p99_ms")
-    assert that_keep(10, "RedKitchen", 2, "p99_ms") == that_keep(10, "RedKitchen", 1, "p95_ms") == 0
+    assert that_keep(10, "RedKitchen", 1, "p95_ms") == 0
     assert that_keep(10, "desk", 2, "p95_ms") == that_keep(15, "desk", 1, "p95_ms") == 0
     for room in ("RedKitchen", "desk"):
         assert values(timed(room, 1), "rmse_cm") == values(timed(room, 2), "rmse_cm")
@@ -481,7 +485,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "takes about 50 MB more": "of a run that was not kept",
     "one start 10 cm and 3° off": "the starts of the flights",
     "two cores of an AMD EPYC with AVX-512": "a name",
-    "**A budget of 10 ms is not kept in 99 % of": "a name",
+    "**A budget of 10 ms is kept in 99 % of": "a name",
     "of 15 ms in 99 % of their steps": "checked without a number",
     "no build keeps it in 95 %": "checked without a number",
     "7-Scenes": "a name",

@@ -29,6 +29,15 @@ def test_work_is_done_once_and_in_order_by_the_thread_that_should(exists: bool) 
     assert never() == "never"
 
 
+def test_a_forked_process_has_a_thread_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of the process before stays behind, and work for it would never be done."""
+    second = SecondThread(True)
+    before = second.begin(threading.get_ident)()
+    monkeypatch.setattr("monoloc.second_thread.os.getpid", lambda: -1)
+    after = second.begin(threading.get_ident)()
+    assert after not in (before, threading.get_ident()) and second.begin(threading.get_ident)() == after
+
+
 @pytest.mark.parametrize("exists", [False, True])
 def test_error_is_raised_where_the_result_is_asked_for(exists: bool) -> None:
     result = SecondThread(exists).begin(lambda: 1 // 0)

@@ -28,6 +28,7 @@ from monoloc.cli.output_checks import check_outputs, check_picture, check_suffix
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import SettingError
 from monoloc.io.camera_file import write_camera
+from monoloc.live.opening import is_live
 from monoloc.progress import ConsoleProgress
 from monoloc.viz.coverage_drawing import plot_coverage
 
@@ -80,11 +81,13 @@ def camera_command(
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw coverage and residuals.")
     ] = None,
     size: Annotated[
-        str, typer.Option("--size", metavar="WxH", help="Image size that camera:N is asked for.")
-    ] = "640x480",
+        str | None,
+        typer.Option("--size", metavar="WxH", help="Image size that camera:N is asked for; 640x480 without it."),
+    ] = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=3600.0, help="How long camera:N is watched.")
-    ] = 60.0,
+        float | None,
+        typer.Option("--seconds", min=1.0, max=3600.0, help="How long camera:N is watched; 60 without it."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Calibrate a camera from at least ten sharp views of the board.
@@ -102,9 +105,14 @@ def camera_command(
     check_outputs({"--out": out, "--plot": plot}, (source,))
     check_suffix(out, "--out", ".toml", "a camera file")  # --camera reads no other
     check_picture(plot, "--plot")
+    if not is_live(source):
+        for option, value in (("--size", size), ("--seconds", seconds)):
+            if value is not None:
+                raise SettingError(option, "has no meaning for pictures and videos", "leave it out")
     with naming({"square_mm": "--square-mm", "calibration": source}):
         board = Board(square_mm)
-        found = read_views(source, board, ConsoleProgress(stderr), _parse_size(size), seconds)
+        size_px = _parse_size(size or "640x480")
+        found = read_views(source, board, ConsoleProgress(stderr), size_px, 60.0 if seconds is None else seconds)
         require_views(source, found)
         calibration = calibrate_camera(found.views, board, found.size, model)
     warnings = assess(source, calibration)

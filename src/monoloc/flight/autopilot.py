@@ -30,7 +30,7 @@ def down_world(map_: LevelMap, settings: FlightSettings) -> FloatArray:
     """
     down = down_of_map(map_, settings)
     if down is None:
-        fix = "write down = [x, y, z], its direction in the map, into flight.toml, and name that file by --settings"
+        fix = "write down = [x, y, z], its direction in the map, into flight.toml, and give that file"
         problem = "is missing, and floor and walls of this map do not show the direction of gravity"
         raise SettingError("down", problem, fix)
     return down
