@@ -16,6 +16,8 @@ from monoloc.particle_filter.estimate import Estimate
 
 # Of a flight controller's tilt and of the map's. Of a video of RedKitchen, the map's was 3.4 to 6.5 degrees off.
 _SENSOR_SD_RAD, _VIDEO_SD_RAD = np.deg2rad(1.0), np.deg2rad(5.0)
+# Gravity farther from where a pose expects it, in standard deviations and at least, is that of a wrong mount.
+_CONTRADICTING_SDS, _CONTRADICTING_RAD = 3.0, np.deg2rad(6.0)
 
 
 def rotation_centre_m(scan: Scan, log_scale: float) -> float:
@@ -87,8 +89,16 @@ class Gravity:
         return np.asarray(down_camera, dtype=np.float64) / length
 
     def align(self, measured: Estimate, scan: Scan, down_camera: FloatArray | None, rotation_sd: float) -> Estimate:
-        """As :func:`align_with_gravity`, or the pose as it is where gravity is not observed or the scan is empty."""
+        """As :func:`align_with_gravity`, or the pose as it is.
+
+        The pose stays where gravity is not observed, where the scan is empty, and where gravity contradicts it: that
+        of a camera that is mounted otherwise than stated would turn the pose until it fits.
+        """
         if down_camera is None or self._down_world is None or len(scan) == 0:
+            return measured
+        expected = measured.pose[:3, :3].T @ self._down_world
+        apart_rad = float(np.arccos(np.clip(expected @ down_camera, -1.0, 1.0)))
+        if apart_rad > max(_CONTRADICTING_RAD, _CONTRADICTING_SDS * float(np.hypot(rotation_sd, self._sd_rad))):
             return measured
         centre_m = rotation_centre_m(scan, measured.log_scale)
         return align_with_gravity(measured, down_camera, self._down_world, centre_m, rotation_sd, self._sd_rad)

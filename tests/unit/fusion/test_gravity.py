@@ -51,6 +51,15 @@ def test_share_of_the_tilt_is_that_of_the_two_variances() -> None:
     np.testing.assert_allclose(rotated, [0.0, 0.5 * tilt_rad, 0.9 * tilt_rad], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize(("tilt_deg", "sd_deg", "turns"), [(5.9, 1.0, True), (6.1, 1.0, False), (8.0, 3.0, True)])
+def test_gravity_that_contradicts_the_pose_does_not_turn_it(tilt_deg: float, sd_deg: float, turns: bool) -> None:
+    """As by a mount that is otherwise than stated: beyond six degrees, and three standard deviations."""
+    scan = uniform_scan(np.array([[0.1, 0.0, 2.0], [0.0, 0.1, 3.0]]))
+    observed = so3_exp([np.deg2rad(tilt_deg), 0.0, 0.0]) @ np.array([0.0, 1.0, 0.0])
+    aligned = Gravity(DOWN, is_of_video=False).align(estimate_at(np.eye(4)), scan, observed, np.deg2rad(sd_deg))
+    assert np.array_equal(aligned.pose, np.eye(4)) is not turns
+
+
 def test_aligned_pose_stays_and_one_upside_down_stays_rigid() -> None:
     aligned, upside_down = (
         align_with_gravity(estimate_at(POSE), sign * POSE[:3, :3].T @ DOWN, DOWN, 2.0, UNKNOWN_SD, GRAVITY_SD).pose
