@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,8 +41,7 @@ _PUBLISHED = {
     STATE: "diagnostic_msgs/DiagnosticArray",
     OBSTACLES: "sensor_msgs/PointCloud2",
 }
-_MOST_IMU_AGE_NS = 50_000_000
-_CLOCKS_APART_NS = 10**9  # by which a camera's clock may be ahead
+_MOST_IMU_AGE_NS, _CLOCKS_APART_NS = 50_000_000, 10**9  # the latter by which a camera's clock may be ahead
 _WARN_PERIOD_S = 5.0  # of all that each image may bring again, since rclpy counts by the line that says it
 
 
@@ -247,10 +247,8 @@ def main() -> None:
         rclpy.try_shutdown()
         sys.exit(2)
     try:
-        with settled():
+        with settled(), suppress(KeyboardInterrupt, ExternalShutdownException):
             rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
