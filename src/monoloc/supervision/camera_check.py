@@ -54,7 +54,8 @@ class CameraCheck:
 
     In a flat view a wrong focal length fits nearly as well as the right one: it moves the camera along its optical
     axis, and both landmarks and predicted depth agree. The evidence for the stated one is that the build had the
-    same. Any other widens the covariance along that axis, by as much as landmarks leave possible.
+    same. Any other widens the covariance along that axis, by as much as landmarks leave possible. That of the build
+    does too where landmarks are sure of another, as while an autofocus searches.
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
@@ -73,6 +74,7 @@ class CameraCheck:
         self.has_build_focal = has_build_focal
         self._measured_sd = _UNMEASURED_SD  # of the stated log-focal; the least in this flight, which has one camera
         self._scene_m = 0.0
+        self._seen_off = 0.0  # by how much log-focal is surely off in the present image
 
     @property
     def mismatch(self) -> bool:
@@ -98,9 +100,9 @@ class CameraCheck:
 
     @property
     def _stated_sd(self) -> float:
-        """Of the log-focal of a camera that is not the build's: no less than what landmarks are sure of."""
+        """Of the stated log-focal: no less than what landmarks are sure of, in this image or over views."""
         sure = self._difference - _SURE_SDS * self._sd if self._information > 0.0 else 0.0
-        return max(self._measured_sd, sure)
+        return max(0.0 if self.has_build_focal else self._measured_sd, sure, self._seen_off)
 
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
@@ -108,8 +110,11 @@ class CameraCheck:
         A view counts for a quarter of a second, as one measurement: for as long as the camera hovers there, misplaced
         landmarks suggest the same wrong focal length.
         """
+        self._seen_off = 0.0
         if pose is None or not math.isfinite(pose.log_focal_sd):
             return
+        sd = math.hypot(log_focal_sd(pose), self._expected_sd)
+        self._seen_off = max(0.0, abs(pose.log_focal - self._expected) - _SURE_SDS * sd)
         if self._views.is_new(T_world_camera):
             self._left_s = MOST_COUNTED_S
         counted_s = min(elapsed_s, self._left_s)
@@ -132,10 +137,10 @@ class CameraCheck:
         Args:
             depth: of the frame; None where it was not its turn, so that the scene is as far as before.
         """
-        if self.has_build_focal:
-            return belief
         if depth is not None and (depth.depth_m > 0.0).any():
             self._scene_m = float(np.median(depth.depth_m[depth.depth_m > 0.0]))
+        if self._stated_sd == 0.0:
+            return belief
         covariance = belief.covariance.copy()
         covariance[2, 2] += (self._stated_sd * self._scene_m) ** 2
         return replace(belief, covariance=covariance)

@@ -123,6 +123,20 @@ def test_focal_length_of_the_build_adds_nothing_to_the_covariance() -> None:
     assert check.is_confirmed and check.widened(BELIEF, wall_at(2.0)) is BELIEF
 
 
+def test_an_image_that_is_sure_of_another_focal_length_widens_the_covariance_of_the_builds_camera_too() -> None:
+    """As while an autofocus breathes: its mean is the stated one. The build's own deviation adds to the image's."""
+    check = CameraCheck(0.0, 0.03, True)
+    after(check, by_landmarks(0.05, 0.01), 10)
+    after(check, by_landmarks(-0.05, 0.01), 10)
+    assert check.widened(BELIEF, wall_at(2.0)) is BELIEF  # it may be chance
+    check = CameraCheck(0.0, 1e-6, True)
+    after(check, by_landmarks(0.05, 0.01), 10)
+    after(check, by_landmarks(-0.05, 0.01), 10)
+    assert sd_along_axis(check, wall_at(2.0)) == pytest.approx(2.0 * 0.02, rel=0.01)
+    after(check, None, 1)
+    assert check.widened(BELIEF, wall_at(2.0)) is BELIEF
+
+
 def test_another_focal_length_may_be_a_tenth_wrong_until_landmarks_measure_it() -> None:
     """It then moves the camera by a tenth of the scene's distance, along its optical axis."""
     check = CameraCheck(0.02, 0.01, False)
