@@ -110,7 +110,7 @@ class FrontEnd:
         self._rng, self._second_thread = rng, second_thread
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
-        self._repeated_s = self._waited_s = self._stood_s = 0.0
+        self._repeated_s = self._waited_s = 0.0
         self._standing = StandingImage()
         self._depth_camera = camera  # of the last depth image
         self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
@@ -165,11 +165,10 @@ class FrontEnd:
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
         motion_s = elapsed_s if waits else self._waited_s + elapsed_s
-        motion = None if waits else self._motion(color, depth_of, is_repeated, motion_s)
+        motion, stood_s = (None, 0.0) if waits else self._motion(color, depth_of, is_repeated, motion_s)
         motion = None if self._is_first else motion  # since before a reset
-        if not waits:
-            is_repeated = is_repeated or self._stood_s > 0.0
-            self._repeated_s = max(self._repeated_s, self._stood_s)
+        is_repeated = is_repeated or stood_s > 0.0
+        self._repeated_s = max(self._repeated_s, stood_s)
         depth, scan = depth_of(), EMPTY_SCAN
         self._waited_s = self._waited_s + elapsed_s if waits else 0.0
         if depth is not None:
@@ -220,12 +219,11 @@ class FrontEnd:
 
     def _motion(
         self, color: NDArray[np.uint8], depth_of: DepthOfFrame, is_repeated: bool, elapsed_s: float
-    ) -> Motion | None:
-        """The motion since the previous call, by the odometry and the other sensor."""
+    ) -> tuple[Motion | None, float]:
+        """The motion since the previous call, and for how many seconds the image has stood although it turned."""
         measured, self._measured = chained(self._measured), []
-        self._stood_s = 0.0
         if self._odometry is None or is_repeated:
-            return measured
+            return measured, 0.0
         rotation = None if measured is None else measured.T_previous_current[:3, :3]
         if isinstance(self._odometry, FollowingOdometry):
             self._odometry.follow(color, rotation, elapsed_s)
@@ -239,8 +237,9 @@ class FrontEnd:
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:
             _checked_motion(odometry, "the result of Components.odometry")
-        self._stood_s = self._standing.update(odometry, measured, elapsed_s)
-        return measured if self._stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
+        stood_s = self._standing.update(odometry, measured, elapsed_s)
+        motion = measured if stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
+        return motion, stood_s
 
     def _best(self, odometry: Motion | None, measured: Motion | None, elapsed_s: float) -> Motion | None:
         """The motion that states the smaller noise; corners are the odometry's.

@@ -78,6 +78,11 @@ def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
     return np.asarray(points, dtype=np.float64) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
+def angle_between(a: FloatArray, b: FloatArray) -> float:
+    """Angle between two unit vectors (3,), in [0, pi] rad."""
+    return float(np.arccos(np.clip(a @ b, -1.0, 1.0)))
+
+
 def rotation_angle(rotation: ArrayLike) -> FloatArray:
     """Angle of a rotation, in [0, pi]: (..., 3, 3) -> (...) rad."""
     R = np.asarray(rotation, dtype=np.float64)

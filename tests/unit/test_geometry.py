@@ -181,3 +181,11 @@ def test_pose_distance_is_metres_plus_radians() -> None:
     relative = geometry.se3_exp(np.array([[0.3, 0.4, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.2, 0.0]]))
     pose = geometry.se3_exp(np.array([1.0, 2.0, 3.0, 0.3, 0.2, 0.1]))
     np.testing.assert_allclose(geometry.pose_distance_m(pose, pose @ relative), [0.5, 0.2], atol=1e-9)
+
+
+def test_angle_between_unit_vectors():
+    x, y = np.eye(3)[:2]
+    assert geometry.angle_between(x, y) == pytest.approx(np.pi / 2.0)
+    assert geometry.angle_between(x, geometry.so3_exp([0.0, 0.0, 0.3]) @ x) == pytest.approx(0.3)
+    almost = np.nextafter(1.0, 2.0) * x  # whose product with itself is above one
+    assert geometry.angle_between(almost, almost) == 0.0

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from monoloc.errors import SettingError
-from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.geometry import FloatArray, angle_between, make_pose, so3_exp
 from monoloc.image_turns import turns_on_body
 
 _LEAST_LENGTH = 1e-6  # of a direction
@@ -105,7 +105,7 @@ def down_of_map(map_: LevelMap, settings: FlightSettings) -> FloatArray | None:
         return map_.down
     down: FloatArray = np.array(settings.down) / np.linalg.norm(settings.down)
     if map_.down is not None:
-        apart_deg = float(np.rad2deg(np.arccos(np.clip(down @ map_.down, -1.0, 1.0))))
+        apart_deg = float(np.rad2deg(angle_between(down, map_.down)))
         if apart_deg > _MOST_APART_DEG:
             known = ", ".join(f"{value:.2f}" for value in map_.down)
             problem = f"is {apart_deg:.0f}° from the direction that the map tells, [{known}]"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from monoloc.flight.flight_loop import FlightStep
+from monoloc.geometry import angle_between
 from monoloc.mavlink.autopilot_frames import AutopilotFrames, rotation_of
 from monoloc.mavlink.autopilot_link import Attitude
 from monoloc.supervision.state import VOUCHED_FOR
@@ -54,7 +55,7 @@ class MountCheck:
         known = np.array([attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad])
         roll, pitch, yaw = (by_pose.euler_rad - known + np.pi) % (2.0 * np.pi) - np.pi
         down_by_pose, down = by_pose.T_ned_body[2, :3], rotation_of(*known)[2]  # in the body's axes
-        tilt = float(np.arccos(np.clip(down_by_pose @ down, -1.0, 1.0)))
+        tilt = angle_between(down_by_pose, down)
         self._errors.append((tilt, pitch, roll, yaw))
 
     def idle(self, now_s: float) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.geometry import FloatArray, angle_between, make_pose, so3_exp
 from monoloc.likelihood.scan import Scan
 from monoloc.particle_filter.estimate import Estimate
 
@@ -96,8 +96,7 @@ class Gravity:
         """
         if down_camera is None or self._down_world is None or len(scan) == 0:
             return measured
-        expected = measured.pose[:3, :3].T @ self._down_world
-        apart_rad = float(np.arccos(np.clip(expected @ down_camera, -1.0, 1.0)))
+        apart_rad = angle_between(measured.pose[:3, :3].T @ self._down_world, down_camera)
         if apart_rad > max(_CONTRADICTING_RAD, _CONTRADICTING_SDS * float(np.hypot(rotation_sd, self._sd_rad))):
             return measured
         centre_m = rotation_centre_m(scan, measured.log_scale)

@@ -15,7 +15,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.editing.alignment import consensus
 from monoloc.errors import DataError, SettingError
-from monoloc.geometry import FloatArray, invert, se3_log
+from monoloc.geometry import FloatArray, angle_between, invert, se3_log
 from monoloc.io.recording import Recording
 from monoloc.place.door_passage import Passage, observe_passage
 from monoloc.place.place_manifest import Door
@@ -95,7 +95,7 @@ def same_world_door(names: tuple[str, str], rooms: tuple[Bundle, Bundle]) -> Mea
             raise SettingError("--same-world", f"the bundle of room {name} keeps no poses of its build", _WALK)
     down_a, down_b = (room.down for room in rooms)
     if down_a is not None and down_b is not None and float(down_a @ down_b) < _LEAST_COSINE:
-        angle_deg = float(np.rad2deg(np.arccos(np.clip(down_a @ down_b, -1.0, 1.0))))
+        angle_deg = float(np.rad2deg(angle_between(down_a, down_b)))
         problem = f"gravity of rooms {names[0]} and {names[1]} differs by {angle_deg:.0f}°, so they have two worlds"
         raise SettingError("--same-world", problem, _WALK)
     a, b = (room.reference_poses.poses[:, :3, 3] for room in rooms)
