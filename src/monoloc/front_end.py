@@ -21,6 +21,7 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.odometry.standing_image import StandingImage
+from monoloc.odometry.standing_pixels import StandingPixels
 from monoloc.particle_filter.motion_model import motion_sd
 from monoloc.second_thread import SecondThread
 from monoloc.step_budget import Stage, StepPlan
@@ -91,7 +92,7 @@ class FrontEnd:
     """Depth, odometry, scale and tilt, and scan of every frame; call :meth:`observe` with every frame in order.
 
     Args:
-        components, camera, config, rng, second_thread: of the localizer.
+        components, camera, config, rng, second_thread, standing_pixels: of the localizer.
         stage: times how long depth keeps the frame waiting.
     """
 
@@ -102,6 +103,7 @@ class FrontEnd:
         config: LocalizerConfig,
         rng: np.random.Generator,
         second_thread: SecondThread,
+        standing_pixels: StandingPixels,
         stage: Callable[[Stage], AbstractContextManager[None]] = lambda name: nullcontext(),
     ) -> None:
         self._depth, self._odometry, self._landmarks = components.depth, components.odometry, components.landmarks
@@ -111,14 +113,15 @@ class FrontEnd:
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
         self._repeated_s = self._waited_s = 0.0
-        self._standing = StandingImage()
+        self._standing_image, self._standing_pixels = StandingImage(), standing_pixels
         self._depth_camera = camera  # of the last depth image
         self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
 
     def reset(self) -> None:
         """Take the next frame as the first."""
         self._is_first, self._previous, self._measured, self._waited_s = True, None, [], 0.0
-        self._standing.reset()
+        self._standing_image.reset()
+        self._standing_pixels.reset()
 
     def observe(
         self,
@@ -173,6 +176,8 @@ class FrontEnd:
         self._waited_s = self._waited_s + elapsed_s if waits else 0.0
         if depth is not None:
             depth = self._corrected(depth, motion)
+            if measured_depth is None:  # a sensor's is of another lens
+                depth = self._standing_pixels.without(depth)
             if self._has_scans:
                 scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
@@ -232,12 +237,12 @@ class FrontEnd:
             camera = self._depth_camera
             depth_m = np.zeros((camera.height, camera.width), dtype=np.float32)
         else:
-            depth_m, camera = depth.depth_m, depth.camera
+            depth_m, camera = self._standing_pixels.without(depth).depth_m, depth.camera
             self._depth_camera = camera
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:
             _checked_motion(odometry, "the result of Components.odometry")
-        stood_s = self._standing.update(odometry, measured, elapsed_s)
+        stood_s = self._standing_image.update(odometry, measured, elapsed_s)
         motion = measured if stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
         return motion, stood_s
 

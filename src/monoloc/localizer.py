@@ -18,13 +18,14 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
 from monoloc.fusion.reference_poses import NEAR_M
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, invert, transform
 from monoloc.landmarks.landmark_map import FamiliarLandmarks
 from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.likelihood.weighing import FrameWeighing
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion
+from monoloc.odometry.standing_pixels import StandingPixels
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.parts import leave_out
@@ -97,7 +98,10 @@ class Localizer:
         self._stage = _untimed if self._budget is None else self._budget.stage
         self._begin(checked_start(start))
         self._second_thread = SecondThread(self._config.threads == 2)
-        self._front_end = FrontEnd(made, camera, self._config, self._rng, self._second_thread, self._stage)
+        self._standing_pixels = StandingPixels(camera)
+        self._front_end = FrontEnd(
+            made, camera, self._config, self._rng, self._second_thread, self._standing_pixels, self._stage
+        )
 
     def _begin(self, start: Start | None) -> None:
         """Set everything that is believed before the first frame."""
@@ -180,7 +184,7 @@ class Localizer:
         landmarks_of = self._begin_landmarks(observation, prior, relocalization, plan)
         particle_estimate, log_likelihood = self._update_particles(observation, relocalization, plan.particles)
         with self._stage("landmarks"):
-            landmarks = landmarks_of()
+            landmarks = self._without_hidden(landmarks_of(), prior)
         if plan.has_landmarks:
             self._has_landmark_pose = landmarks is not None and landmarks.pose is not None
         contradicted = self._contradicted_by(landmarks, particle_estimate)
@@ -196,6 +200,8 @@ class Localizer:
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, previous)
         self._index += 1
+        if not observation.waits:
+            self._find_standing_pixels(color, observation, seen)
         self._is_tracking = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
         # No level leaves out a search, nor what a start that may be rough takes.
         is_usual = self._is_tracking and not relocalization.is_searched and not self._tracker.fusion.restarted
@@ -217,6 +223,7 @@ class Localizer:
             scan=observation.scan,
             changed_region=supervision.changed_region,
             level=level,
+            standing_share=self._standing_pixels.share,
         )
 
     def _plan(self, level: Level | None) -> tuple[Level, StepPlan]:
@@ -267,6 +274,24 @@ class Localizer:
 
     def _measure_landmarks(self, observation: Observation, prior: Estimate) -> LandmarkMeasurement:
         return self._landmarks.measure(observation.landmarks_seen(), prior.pose, prior.covariance)
+
+    def _find_standing_pixels(
+        self, color: NDArray[np.uint8], observation: Observation, landmark_pose: LandmarkPose | None
+    ) -> None:
+        motion = observation.motion if observation.image_is_new else None
+        pose = None if landmark_pose is None else landmark_pose.pose
+        self._standing_pixels.update(color, motion, observation.depth, pose)
+        if self._standing_pixels.has_grown:  # what it hides has counted as missing
+            self._map_change.forget()
+
+    def _without_hidden(self, landmarks: LandmarkMeasurement | None, prior: Estimate) -> LandmarkMeasurement | None:
+        """The measurement, in which landmarks behind what stands still are not shown."""
+        if landmarks is None or not self._standing_pixels.mask.any():
+            return landmarks
+        pose = prior.pose if landmarks.pose is None else landmarks.pose.pose
+        points = self._bundle.landmarks.points[landmarks.visible].astype(np.float64)
+        is_hidden = self._standing_pixels.stands(self._camera.project(transform(invert(pose), points)))
+        return replace(landmarks, is_shown=landmarks.is_shown & (landmarks.is_found | ~is_hidden))
 
     def _update_particles(
         self, observation: Observation, relocalization: Relocalization, count: int

@@ -38,6 +38,8 @@ class Step:
         changed_region: a region in view that no longer matches the map; None if there is none, or if the pose is not
             known well enough to tell.
         level: what the step left out to keep its budget.
+        standing_share: share of the image, 0..1, that stands still while the camera moves, such as a part of the
+            drone (:mod:`monoloc.odometry.standing_pixels`); the step leaves it out. 0 below 2 %.
     """
 
     estimate: Estimate
@@ -54,3 +56,4 @@ class Step:
     scan: Scan
     changed_region: ChangedRegion | None
     level: Level = Level.FULL
+    standing_share: float = 0.0

@@ -20,6 +20,8 @@ _COVER_LEVEL = 30  # of a hand before half of the lens
 _BLUR_PX = 25
 _FLICKER = (1.8, 0.35)  # factors on brightness, in turn
 _JPEG_QUALITY = 10
+_GUARDS_SHARE = 0.2  # of the image, in its four corners
+_DROPS, _DROP_RADII, _DROP_SHRINKS = 14, (0.04, 0.12), 3.0  # radii in image widths
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,35 @@ def _other_room(frames: Sequence[FlightFrame], around: Surroundings) -> list[Fli
     return [replace(frame, image=partial(around.elsewhere, index), truth=None) for index, frame in enumerate(frames)]
 
 
+def _propeller_guards(frames: Sequence[FlightFrame], around: Surroundings) -> list[FlightFrame]:
+    guards = around.elsewhere(0)
+    height, width = guards.shape[:2]
+    mask = np.zeros((height, width), dtype=np.uint8)
+    radius = round(np.sqrt(_GUARDS_SHARE * width * height / np.pi))
+    for corner in ((0, 0), (width, 0), (0, height), (width, height)):
+        cv2.circle(mask, corner, radius, 1, -1)
+    return _images(lambda image, index, rng: np.where(mask[..., None] > 0, guards, image))(frames, around)
+
+
+def _drops(frames: Sequence[FlightFrame], around: Surroundings) -> list[FlightFrame]:
+    """Each drop shows what is around it, small and upside down (Roser & Geiger 2009)."""
+    height, width = frames[0].image().shape[:2]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    seen_x, seen_y = x.copy(), y.copy()
+    middles = around.rng.uniform((0.0, 0.0), (width, height), (_DROPS, 2))
+    for middle, radius in zip(middles, around.rng.uniform(*_DROP_RADII, _DROPS) * width, strict=True):
+        inside = np.hypot(x - middle[0], y - middle[1]) < radius
+        seen_x[inside] = (middle[0] - _DROP_SHRINKS * (x - middle[0]))[inside]
+        seen_y[inside] = (middle[1] - _DROP_SHRINKS * (y - middle[1]))[inside]
+    is_drop = ((seen_x != x) | (seen_y != y))[..., None]
+
+    def drip(image: Image, index: int, rng: np.random.Generator) -> Image:
+        refracted = cv2.remap(image, seen_x, seen_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        return np.where(is_drop, cv2.blur(refracted, (5, 5)), image).astype(np.uint8)
+
+    return _images(drip)(frames, around)
+
+
 def _covered(image: Image, index: int, rng: np.random.Generator) -> Image:
     return rng.integers(0, _DARK_LEVELS, image.shape, dtype=np.uint8)
 
@@ -167,6 +198,8 @@ _ALL = (
     Fault("intrinsics-minus-30", _nothing, focal_factor=0.7, is_of_whole_flight=True),
     Fault("longer-lens-10", _enlarged(1.1), is_of_whole_flight=True),
     Fault("longer-lens-30", _enlarged(1.3), is_of_whole_flight=True),
+    Fault("propeller-guards", _propeller_guards, is_of_whole_flight=True),
+    Fault("drops", _drops, is_of_whole_flight=True),
     Fault("jpeg-quality-10", _images(_compressed)),
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -66,6 +67,15 @@ def sample_depth(
     nearest, farthest = corners.min(axis=1), corners.max(axis=1)
     usable = is_shown & (nearest > 0.0) & (farthest <= (1.0 + relative) * nearest)
     return np.asarray(np.where(usable, depth, 0.0), dtype=np.float64)
+
+
+def where_known(depth_m: NDArray[np.float32], depth_camera: Camera, camera: Camera) -> NDArray[np.bool_]:
+    """Where a camera's image (H, W) has depth, as far as a depth image (h, w) of the same field of view tells."""
+    shape = camera.height, camera.width
+    if depth_m.all() or not _is_resized(camera, depth_camera):
+        return np.ones(shape, dtype=np.bool_)
+    known = (depth_m > 0.0).astype(np.uint8)
+    return np.asarray(cv2.resize(known, shape[::-1], interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def _in_depth_image(pixels: NDArray[np.float32], camera: Camera, depth_camera: Camera) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ class StatusOutput:
         self._say, self._says_each_second, self._summary = say, says_each_second, summary
         self._began_s: float | None = None
         self._said: tuple[str, frozenset[object], str | None] = ("", frozenset(), None)
-        self._level = Level.FULL
+        self._level, self._has_said_standing = Level.FULL, False
         self._problems: list[str] = []  # of rooms of a place, that were said
         self._frame_s = self._printed_s = float("-inf")
         self._frames = self._failures = 0
@@ -60,6 +60,9 @@ class StatusOutput:
         if self._level is not step.level:
             self._level = step.level
             self.say(now_s, f"budget: {step.level.words}")
+        if step.standing_share and not self._has_said_standing:
+            self._has_said_standing = True
+            self.say(now_s, f"{step.standing_share:.0%} of the image stands still: the drone's own, or dirt")
         for failure in self._summary.failures[self._failures :]:
             self._failures += 1
             self.say(now_s, f"no longer written: {failure}")

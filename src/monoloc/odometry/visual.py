@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
-from monoloc.depth.depth_image import sample_depth
+from monoloc.depth.depth_image import sample_depth, where_known
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
 from monoloc.image_size import gray_image
 from monoloc.odometry.camera_pose import solve_pose
@@ -231,7 +231,7 @@ class VisualOdometry:
         known = self._tracks
         window = Window.empty() if known is None else known.window
         pixels = np.zeros((0, 2), dtype=np.float32) if known is None else known.pixels
-        fresh = self._new_corners(gray, pixels)
+        fresh = self._new_corners(gray, pixels, where_known(depth_m, depth_camera, camera))
         log_depth = self._log_depth(np.concatenate([pixels, fresh]), depth_m, depth_camera)
         # Rescale predicted depth to the window, except for a small share that follows the depth source.
         z = transform(invert(T_r_camera), window.points)[:, 2]
@@ -265,12 +265,18 @@ class VisualOdometry:
         with np.errstate(divide="ignore"):
             return np.where(depth > 0.0, np.log(depth), np.nan)
 
-    def _new_corners(self, gray: NDArray[np.uint8], known: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Detect corners (N, 2) that keep the minimum distance to the known ones, up to the maximum number."""
+    def _new_corners(
+        self, gray: NDArray[np.uint8], known: NDArray[np.float32], has_depth: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """Detect corners (N, 2) that keep the minimum distance to the known ones, up to the maximum number.
+
+        Args:
+            has_depth: (h, w), whether a corner may be there.
+        """
         wanted = self.config.corners - len(known)
         if wanted <= 0:
             return np.zeros((0, 2), dtype=np.float32)
-        free = np.full(gray.shape, 255, dtype=np.uint8)
+        free = np.where(has_depth, np.uint8(255), np.uint8(0))
         for x, y in known:
             cv2.circle(free, (int(x), int(y)), int(self.config.min_distance_px), 0, -1)
         return find_corners(gray, wanted, self.config, free)

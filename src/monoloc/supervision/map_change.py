@@ -100,6 +100,12 @@ class MapChangeMonitor:
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
         self._was_in_view = np.zeros(len(self._cells), dtype=np.bool_)
 
+    def forget(self) -> None:
+        """Drop all evidence."""
+        for each in (self._nats, self._earlier, self._sum, self._seen_s, self._above_s):
+            each[:] = 0.0
+        self._is_found_here[:], self._is_changed[:] = False, False
+
     def update(
         self, familiar: FamiliarLandmarks | None, probability_far: float, pose: FloatArray, elapsed_s: float
     ) -> ChangedRegion | None:

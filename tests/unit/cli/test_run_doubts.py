@@ -55,6 +55,12 @@ def test_another_focal_length_speaks_for_another_camera(room: Bundle, run: Run) 
     assert doubt.startswith("in 1 of 4 frames, landmarks fit another focal length than the camera's; check --camera")
 
 
+def test_what_stands_still_in_the_images_is_said(room: Bundle, run: Run) -> None:
+    (doubt,) = doubts(replace(run, standing_shares=np.array([0.0, 0.1, 0.15, 0.2])), room)
+    assert doubt.startswith("12% of the image stands still in half of the frames or more, and is left out; clean")
+    assert not list(doubts(replace(run, standing_shares=np.array([0.0, 0.0, 0.0, 0.2])), room))
+
+
 def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
     (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances), room)
     assert doubt.startswith("0% of the errors lie within the stated 95 % ellipsoid; do not use these poses,")

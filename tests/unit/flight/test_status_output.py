@@ -60,6 +60,13 @@ def test_what_is_left_out_to_keep_the_budget_is_said_as_it_changes() -> None:
     assert flight.printed()[1:] == ["    1.00 s  budget: fewer particles", "    3.00 s  budget: full"]
 
 
+def test_what_stands_still_in_the_image_is_said_once() -> None:
+    flight = Flight()
+    for index, share in enumerate([0.0, 0.172, 0.18, 0.0, 0.1]):
+        flight.output.take(result_at(100.0 + index, replace(step_at(POSE), standing_share=share), age_s=0.0))
+    assert flight.printed()[1:] == ["    1.00 s  17% of the image stands still: the drone's own, or dirt"]
+
+
 def test_a_room_of_a_place_that_cannot_be_read_is_named_once() -> None:
     flight = Flight()
     for index, unreadable in enumerate(

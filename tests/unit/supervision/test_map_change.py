@@ -146,6 +146,15 @@ def test_change_holds_until_its_landmarks_are_found_again() -> None:
     assert flight(2.0)[-1] is None
 
 
+def test_evidence_can_be_dropped() -> None:
+    """As of landmarks that a part of the drone hid all along."""
+    flight = Flight(room())
+    assert flight(2.0, RIGHT)[-1] is not None
+    flight.monitor.forget()
+    assert set(flight(0.3, RIGHT)) == {None}
+    assert flight(2.0, RIGHT)[-1] is not None
+
+
 def test_evidence_is_forgotten_slowly() -> None:
     flight = Flight(room())
     flight(2.0, RIGHT)

@@ -1,0 +1,182 @@
+"""Pixels that stand still while the camera moves: parts of the drone, drops on the lens, text drawn over the image.
+
+They show nothing of the room. Where the camera has moved between two images, each pixel of the second is predicted
+from the first in two ways: as a part of the room, which has shifted, and as something that stands still. Where the
+two differ, the second image decides between them, and this evidence adds up over a flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.depth.depth_image import sample_depth
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.geometry import FloatArray, invert, transform
+from monoloc.odometry.motion import Motion
+
+_WIDTH, _GRID_WIDTH = 160, 40  # px: of the compared images, and of the grid on which the room's shift is computed
+_LEAST_SHIFT_PX = 2.0  # median over the image, between two compared images
+_MEAN = 100.0  # grey level to which each image is scaled, since exposure changes
+_NOISE = 6.0  # grey levels; two predictions differ if they are twice as far apart
+_LEAST_MOVED = 0.25  # of these pixels, those that shift as the room does; else the motion is wrong
+_AROUND_PX, _LEAST_DECIDED = 5, 0.2  # square over which evidence is averaged, and share of it that must be decided
+_MOST_NATS, _STANDS_NATS = 8.0, 3.0  # evidence at most, and from which on a pixel stands still
+_GAP_PX, _MARGIN_PX = 5, 3  # of the squares that close gaps, and that widen what stands still
+_LEAST_SHARE, _MOST_SHARE = 0.02, 0.7  # of the image: less does not matter, and if it were more, little would be left
+_GROWN = 0.02  # of the image
+_NO_JUMP = 1e3  # depth is interpolated across edges, too
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """The image that the next one is compared with.
+
+    Attributes:
+        gray: (h, w), scaled.
+        landmark_pose: ``T_world_camera`` by landmarks, (4, 4), or None.
+        T_compared_current: motion since, (4, 4).
+    """
+
+    gray: NDArray[np.float32]
+    landmark_pose: FloatArray | None
+    T_compared_current: FloatArray
+
+
+class StandingPixels:
+    """Follows the evidence that pixels of one camera stand still; call :meth:`update` after every frame.
+
+    Attributes:
+        mask: (h, w) bool, what stands still, in a small image. All false where it is less than 2 % of the image, or
+            more than 70 %.
+        share: of the image that it is, 0..1.
+        has_grown: whether the last frame added more than 2 % of the image to it.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._full, self._camera = camera, camera.of_width(min(_WIDTH, camera.width))
+        grid = self._camera.of_width(min(_GRID_WIDTH, camera.width))
+        self._grid_px = _pixels(grid, self._camera).astype(np.float32)  # (N, 2)
+        self._grid_shape = grid.height, grid.width
+        rays = self._camera.rays(self._grid_px)
+        self._rays = rays / rays[:, 2:]
+        self._nats = np.zeros((self._camera.height, self._camera.width), dtype=np.float32)
+        self._last: _Compared | None = None
+        self._depth_places: tuple[Camera, FloatArray] | None = None  # pixels of the last depth image
+        self.mask = np.zeros(self._nats.shape, dtype=np.bool_)
+        self.has_grown, self.share, self._largest_share = False, 0.0, 0.0
+
+    def reset(self) -> None:
+        """Do not compare the next image with the last one; what stands still stays known."""
+        self._last = None
+
+    def update(
+        self,
+        color: NDArray[np.uint8],
+        motion: Motion | None,
+        depth: DepthPrediction | None,
+        landmark_pose: FloatArray | None,
+    ) -> None:
+        """Take in a frame.
+
+        Args:
+            color: (H, W, 3) uint8 RGB, of the camera.
+            motion: since the previous frame; None where it is unknown.
+            depth: of the frame; without it, only the motion is taken in.
+            landmark_pose: ``T_world_camera``, (4, 4), by the landmarks in the image, or None. Between two of these,
+                the motion is not needed: that of odometry is zero where most corners stand still.
+        """
+        self.has_grown = False
+        self._move(motion, landmark_pose)
+        if depth is None:
+            return
+        last = self._last
+        if last is None:
+            self._last = _Compared(self._scaled(color), landmark_pose, np.eye(4))
+            return
+        T = last.T_compared_current
+        if last.landmark_pose is not None and landmark_pose is not None:
+            T = invert(last.landmark_pose) @ landmark_pose
+        source_px = self._source_px(T, depth)
+        if np.median(np.linalg.norm(source_px - self._grid_px, axis=1)) < _LEAST_SHIFT_PX:
+            return
+        gray = self._scaled(color)
+        self._compare(gray, last.gray, source_px)
+        self._last = _Compared(gray, landmark_pose, np.eye(4))
+
+    def stands(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Whether pixels (N, 2) of the camera's image stand still, (N,)."""
+        height, width = self.mask.shape
+        places = (pixels + 0.5) * np.array([width / self._full.width, height / self._full.height])
+        x, y = np.clip(places, 0.0, np.array([width - 1.0, height - 1.0])).astype(np.int64).T
+        return np.asarray(self.mask[y, x])
+
+    def without(self, depth: DepthPrediction) -> DepthPrediction:
+        """A depth image that has no depth where pixels stand still."""
+        if not self.mask.any():
+            return depth
+        if self._depth_places is None or self._depth_places[0] != depth.camera:
+            rays = depth.camera.rays(_pixels(depth.camera, depth.camera).astype(np.float32))
+            self._depth_places = depth.camera, self._full.project(rays)
+        is_hidden = self.stands(self._depth_places[1]).reshape(depth.depth_m.shape)
+        return replace(depth, depth_m=np.where(is_hidden, np.float32(0.0), depth.depth_m))
+
+    def _move(self, motion: Motion | None, landmark_pose: FloatArray | None) -> None:
+        last = self._last
+        if last is None:
+            return
+        if motion is not None:
+            self._last = replace(last, T_compared_current=last.T_compared_current @ motion.T_previous_current)
+        elif last.landmark_pose is None or landmark_pose is None:
+            self._last = None
+
+    def _scaled(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
+        small = cv2.resize(color, (self._camera.width, self._camera.height), interpolation=cv2.INTER_AREA)
+        gray = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        return np.asarray(gray * (_MEAN / max(float(gray.mean()), 1.0)), dtype=np.float32)
+
+    def _source_px(self, T_compared_current: FloatArray, depth: DepthPrediction) -> FloatArray:
+        """Where the compared image showed what the grid shows of the room, (N, 2); far outside if nowhere."""
+        depth_m = sample_depth(self._grid_px, self._camera, depth.depth_m, depth.camera, _NO_JUMP)
+        is_known = depth_m > 0.0
+        depth_m = np.where(is_known, depth_m, np.median(depth_m[is_known]) if is_known.any() else 1.0)
+        local = transform(T_compared_current, self._rays * depth_m[:, None])
+        return np.where(self._camera.in_sight(local)[:, None], self._camera.project(local), -1e4)
+
+    def _compare(self, now: NDArray[np.float32], before: NDArray[np.float32], source_px: FloatArray) -> None:
+        """Add the evidence of two images (h, w)."""
+        size, around = (self._camera.width, self._camera.height), (_AROUND_PX, _AROUND_PX)
+        source = source_px.astype(np.float32).reshape(*self._grid_shape, 2)
+        x, y = np.moveaxis(cv2.resize(source, size, interpolation=cv2.INTER_LINEAR), 2, 0)
+        is_inside = (x >= 0.0) & (y >= 0.0) & (x <= size[0] - 1.0) & (y <= size[1] - 1.0)
+        shifted = cv2.remap(before, x, y, cv2.INTER_LINEAR)
+        is_decided = is_inside & (np.abs(shifted - before) > 2.0 * _NOISE)
+        nats = np.clip((np.abs(now - shifted) - np.abs(now - before)) / _NOISE, -1.0, 1.0) * is_decided
+        if np.count_nonzero(nats < 0.0) < _LEAST_MOVED * np.count_nonzero(is_decided):
+            return
+        share = cv2.blur(is_decided.astype(np.float32), around)
+        self._nats += cv2.blur(nats.astype(np.float32), around) / np.maximum(share, _LEAST_DECIDED)
+        np.clip(self._nats, -_MOST_NATS, _MOST_NATS, out=self._nats)
+        self._mark()
+
+    def _mark(self) -> None:
+        stands: NDArray[Any] = (self._nats > _STANDS_NATS).astype(np.uint8)
+        stands = cv2.morphologyEx(stands, cv2.MORPH_CLOSE, np.ones((_GAP_PX, _GAP_PX), np.uint8))
+        mask = cv2.dilate(stands, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
+        self.mask = mask & (_LEAST_SHARE <= mask.mean() <= _MOST_SHARE)
+        self.share = float(self.mask.mean())
+        self.has_grown = self.share > self._largest_share + _GROWN
+        if self.has_grown:
+            self._largest_share = self.share
+
+
+def _pixels(camera: Camera, of: Camera) -> FloatArray:
+    """All pixels of a camera's image, as those of the same image at another size, (N, 2)."""
+    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    scale = np.array([of.width / camera.width, of.height / camera.height])
+    return np.asarray((np.column_stack([x.ravel(), y.ravel()]) + 0.5) * scale - 0.5, dtype=np.float64)
