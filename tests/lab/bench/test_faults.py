@@ -75,7 +75,7 @@ def test_images_are_what_the_names_say() -> None:
     np.testing.assert_array_equal(changed["half-covered-right"][:, :5], image[:, :5])
     np.testing.assert_array_equal(changed["half-covered-lower"][:4], image[:4])
     np.testing.assert_array_equal(changed["propeller-guards"][[0, 0, -1, -1], [0, -1, 0, -1]], ELSEWHERE[:4, 0])
-    np.testing.assert_array_equal(changed["propeller-guards"][3:5, 4:6], image[3:5, 4:6])
+    np.testing.assert_array_equal(changed["propeller-guards"][3:5, 4:6], color(1)[3:5, 4:6])
     for side, part in (("left", np.s_[:, :5]), ("right", np.s_[:, 5:]), ("lower", np.s_[4:])):
         assert np.ptp(changed[f"half-covered-{side}"][part]) == 0
     assert np.abs(np.diff(changed["blurred"].astype(float), axis=1)).max() < 40
