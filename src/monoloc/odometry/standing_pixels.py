@@ -18,10 +18,11 @@ from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert, transform
+from monoloc.image_size import gray_image
 from monoloc.odometry.motion import Motion
 
-_WIDTH, _GRID_WIDTH = 160, 40  # px: of the compared images, and of the grid on which the room's shift is computed
-_LEAST_SHIFT_PX = 2.0  # median over the image, between two compared images
+_WIDTH, _GRID_WIDTH = 160, 20  # px: of the compared images, and of the grid on which the room's shift is computed
+_LEAST_SHIFT_PX = 4.0  # median over the image, between two compared images
 _MEAN = 100.0  # grey level to which each image is scaled, since exposure changes
 _NOISE = 6.0  # grey levels; two predictions differ if they are twice as far apart
 _LEAST_MOVED = 0.25  # of these pixels, those that shift as the room does; else the motion is wrong
@@ -136,9 +137,8 @@ class StandingPixels:
             self._last = None
 
     def _scaled(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
-        small = cv2.resize(color, (self._camera.width, self._camera.height), interpolation=cv2.INTER_AREA)
-        gray = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        return np.asarray(gray * (_MEAN / max(float(gray.mean()), 1.0)), dtype=np.float32)
+        gray = gray_image(color, (self._camera.width, self._camera.height))
+        return np.asarray(gray * np.float32(_MEAN / max(float(gray.mean()), 1.0)), dtype=np.float32)
 
     def _source_px(self, T_compared_current: FloatArray, depth: DepthPrediction) -> FloatArray:
         """Where the compared image showed what the grid shows of the room, (N, 2); far outside if nowhere."""

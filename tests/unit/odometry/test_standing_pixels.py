@@ -92,7 +92,7 @@ def test_landmark_poses_replace_an_odometry_that_stands_with_the_guards() -> Non
 def test_images_are_compared_across_frames_without_depth() -> None:
     """As where a budget leaves depth out every second time: the motion is taken in all the same."""
     pixels = after(guarded, depth=lambda index: depth_of(index) if index % 2 else None)
-    assert marked(pixels)[GUARDS > 0].mean() > 0.9
+    assert marked(pixels)[GUARDS > 0].mean() > 0.8
 
 
 def test_after_a_gap_the_next_image_is_not_compared_with_the_last_one() -> None:
