@@ -41,12 +41,25 @@ class _Compared:
     Attributes:
         gray: (h, w), scaled.
         landmark_pose: ``T_world_camera`` by landmarks, (4, 4), or None.
-        T_compared_current: motion since, (4, 4).
+        T_compared_current: motion since by odometry, (4, 4); None where it is unknown.
     """
 
     gray: NDArray[np.float32]
     landmark_pose: FloatArray | None
-    T_compared_current: FloatArray
+    T_compared_current: FloatArray | None
+
+    def moved(self, motion: Motion | None) -> _Compared:
+        T = self.T_compared_current
+        return replace(
+            self, T_compared_current=None if T is None or motion is None else T @ motion.T_previous_current
+        )
+
+    def motions_to(self, landmark_pose: FloatArray | None) -> list[FloatArray]:
+        """The motion by odometry, and by landmarks, which is less exact; as far as they are known."""
+        motions = [] if self.T_compared_current is None else [self.T_compared_current]
+        if self.landmark_pose is not None and landmark_pose is not None:
+            motions.append(invert(self.landmark_pose) @ landmark_pose)
+        return motions
 
 
 class StandingPixels:
@@ -89,25 +102,21 @@ class StandingPixels:
             color: (H, W, 3) uint8 RGB, of the camera.
             motion: since the previous frame; None where it is unknown.
             depth: of the frame; without it, only the motion is taken in.
-            landmark_pose: ``T_world_camera``, (4, 4), by the landmarks in the image, or None. Between two of these,
-                the motion is not needed: that of odometry is zero where most corners stand still.
+            landmark_pose: ``T_world_camera``, (4, 4), by the landmarks in the image, or None. It tells the motion
+                where odometry does not, as where most corners stand still.
         """
         self.has_grown = False
-        self._move(motion, landmark_pose)
+        last = self._last = None if self._last is None else self._last.moved(motion)
         if depth is None:
             return
-        last = self._last
-        if last is None:
-            self._last = _Compared(self._scaled(color), landmark_pose, np.eye(4))
-            return
-        T = last.T_compared_current
-        if last.landmark_pose is not None and landmark_pose is not None:
-            T = invert(last.landmark_pose) @ landmark_pose
-        source_px = self._source_px(T, depth)
-        if np.median(np.linalg.norm(source_px - self._grid_px, axis=1)) < _LEAST_SHIFT_PX:
+        motions = [] if last is None else last.motions_to(landmark_pose)
+        sources_px = (self._source_px(T_compared_current, depth) for T_compared_current in motions)
+        source_px = next((each for each in sources_px if self._is_far(each)), None)
+        if motions and source_px is None:
             return
         gray = self._scaled(color)
-        self._compare(gray, last.gray, source_px)
+        if last is not None and source_px is not None:
+            self._compare(gray, last.gray, source_px)
         self._last = _Compared(gray, landmark_pose, np.eye(4))
 
     def stands(self, pixels: FloatArray) -> NDArray[np.bool_]:
@@ -127,15 +136,6 @@ class StandingPixels:
         is_hidden = self.stands(self._depth_places[1]).reshape(depth.depth_m.shape)
         return replace(depth, depth_m=np.where(is_hidden, np.float32(0.0), depth.depth_m))
 
-    def _move(self, motion: Motion | None, landmark_pose: FloatArray | None) -> None:
-        last = self._last
-        if last is None:
-            return
-        if motion is not None:
-            self._last = replace(last, T_compared_current=last.T_compared_current @ motion.T_previous_current)
-        elif last.landmark_pose is None or landmark_pose is None:
-            self._last = None
-
     def _scaled(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
         gray = gray_image(color, (self._camera.width, self._camera.height))
         return np.asarray(gray * np.float32(_MEAN / max(float(gray.mean()), 1.0)), dtype=np.float32)
@@ -147,6 +147,9 @@ class StandingPixels:
         depth_m = np.where(is_known, depth_m, np.median(depth_m[is_known]) if is_known.any() else 1.0)
         local = transform(T_compared_current, self._rays * depth_m[:, None])
         return np.where(self._camera.in_sight(local)[:, None], self._camera.project(local), -1e4)
+
+    def _is_far(self, source_px: FloatArray) -> bool:
+        return float(np.median(np.linalg.norm(source_px - self._grid_px, axis=1))) >= _LEAST_SHIFT_PX
 
     def _compare(self, now: NDArray[np.float32], before: NDArray[np.float32], source_px: FloatArray) -> None:
         """Add the evidence of two images (h, w)."""
