@@ -110,13 +110,14 @@ class StandingPixels:
         if depth is None:
             return
         motions = [] if last is None else last.motions_to(landmark_pose)
-        sources_px = (self._source_px(T_compared_current, depth) for T_compared_current in motions)
-        source_px = next((each for each in sources_px if self._is_far(each)), None)
-        if motions and source_px is None:
+        sources_px = [self._source_px(T_compared_current, depth) for T_compared_current in motions]
+        is_far = [self._is_far(each) for each in sources_px]
+        # Where landmarks say that the camera stands, odometry follows somebody who walks past.
+        if motions and not is_far[-1]:
             return
         gray = self._scaled(color)
-        if last is not None and source_px is not None:
-            self._compare(gray, last.gray, source_px)
+        if last is not None and motions:
+            self._compare(gray, last.gray, sources_px[is_far.index(True)])
         self._last = _Compared(gray, landmark_pose, np.eye(4))
 
     def stands(self, pixels: FloatArray) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.depth.predictor import DepthPrediction
-from monoloc.geometry import invert
+from monoloc.geometry import invert, make_pose, so3_exp
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.standing_pixels import StandingPixels
 from synthetic_room import CAMERA, Room, RoomRecording, make_path
@@ -80,6 +80,22 @@ def test_a_hovering_camera_whose_pose_jumps_marks_nothing() -> None:
 
     jumping = after(noisy, landmark_pose=lambda index: POSES[2 * (index % 2)], depth=lambda index: depth_of(0))
     assert not jumping.mask.any()
+
+
+def test_a_person_who_walks_past_a_hovering_camera_does_not_make_the_room_stand() -> None:
+    """Odometry follows the person, who fills most of the view; landmarks say that the camera stands."""
+    step_px = 6
+    walking = Motion(make_pose(so3_exp([0.0, step_px / CAMERA.fx, 0.0]), np.zeros(3)))
+
+    def passed(index: int) -> NDArray[np.uint8]:
+        image = RECORDING.color(0).copy()
+        image[:, 100:260] = np.roll(PICTURE, -step_px * index, axis=1)[:, 100:260]
+        return image
+
+    followed = after(passed, motion=lambda index: walking, depth=lambda index: depth_of(0))
+    assert followed.mask.any(), "without landmarks, nothing tells"
+    known = after(passed, lambda index: walking, lambda index: POSES[0], lambda index: depth_of(0))
+    assert not known.mask.any()
 
 
 def test_landmark_poses_replace_an_odometry_that_stands_with_the_guards() -> None:
