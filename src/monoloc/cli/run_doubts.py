@@ -28,7 +28,7 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
         yield f"{problem}; check --camera, and that images are neither cropped nor resized"
     if standing := metrics["standing_share_median"]:
         problem = f"{standing:.0%} of the image stands still in half of the frames or more, and is left out"
-        yield f"{problem}; clean the lens, or turn the camera until no part of the drone is in view"
+        yield f"{problem}; clean the lens, or move the camera away from parts of the drone"
     if silent := metrics.get("silent_frames_30cm"):
         yield f"{silent} of {frames} frames are *tracking* or *map-changed*, and more than 30 cm off"
     coverage = metrics.get("coverage_95")

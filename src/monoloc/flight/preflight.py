@@ -100,6 +100,7 @@ class Preflight:
         self._landmarks: list[int] = []
         self._views, self._view_count = DistinctViews(), 0  # that tell the focal length
         self._reasons: Counter[Reason] = Counter()
+        self._standing_share = 0.0  # of the image
 
     def take(self, result: FlightStep) -> None:
         if self._count % _EVERY == 0:
@@ -111,6 +112,7 @@ class Preflight:
         if pose is not None and tells_focal(pose) and self._views.is_new(result.step.estimate.pose):
             self._view_count += 1
         self._reasons.update(result.step.reasons)
+        self._standing_share = result.step.standing_share
         if result.in_place is not None and result.in_place.entered is not None:
             self._brightness = result.in_place.entered.provenance.brightness
 
@@ -142,6 +144,7 @@ class Preflight:
                 *self._of_pauses(is_for_autopilot=link is not None),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
                 *light_findings(images, self._brightness),
+                *self._of_view(),
                 *self._of_intrinsics(),
                 *self._of_room(summary),
             ]
@@ -172,6 +175,12 @@ class Preflight:
         if self._scale_sd > GOOD_SCALE_SD:
             remark = "give the build a marker or a distance (--scale) before an autopilot uses its poses"
             yield Finding("scale", level, f"known to {self._scale_sd:.0%}", remark)
+
+    def _of_view(self) -> Iterator[Finding]:
+        if self._standing_share:
+            value = f"{self._standing_share:.0%} of the image stands still while the camera moves, and is left out"
+            remark = "clean the lens, or move the camera away from parts of the drone"
+            yield Finding("view", "warning", value, remark)
 
     def _of_intrinsics(self) -> Iterator[Finding]:
         if self._reasons[Reason.CAMERA_TURNED]:

@@ -263,6 +263,12 @@ def test_stated_roll_of_a_turned_camera_is_to_be_corrected() -> None:
         assert findings_of(step, roll_deg=roll_deg)["orientation"].remark.startswith(f"{verb} roll_deg in [mount]; ")
 
 
+def test_what_stands_still_in_the_image_is_named_with_its_share() -> None:
+    found = findings_of(replace(good_step(), standing_share=0.14))["view"]
+    assert (found.level, found.value[:12]) == ("warning", "14% of the i")
+    assert "view" not in findings_of(good_step())
+
+
 def test_map_without_landmarks_is_told_from_a_view_without_them() -> None:
     for has_landmarks, remark in ((True, "look at a part of the room"), (False, "the map has none; build with")):
         landmarks = findings_of(good_step(landmarks=0), has_landmarks=has_landmarks)["landmarks"]
