@@ -103,6 +103,11 @@ POSES = {
     "COLMAP": Alteration(
         lambda T: rolled(invert(T), 1), "w first and world-to-camera", "--fix-poses w-first,world-to-camera"
     ),
+    "three at once": Alteration(
+        lambda T: rolled(invert(T @ OPENGL), 1),
+        "w first and world-to-camera and camera axes of OpenGL",
+        "--fix-poses w-first,world-to-camera,opengl",
+    ),
     "robot": Alteration(lambda T: T @ ROBOT, r"a robot's axes \(x forward, z up\)", "--fix-poses robot"),
     "Unity": Alteration(lambda T: UP @ T @ UP, "left-handed world .Unity", "--fix-poses left-handed"),
     "z mirrored": Alteration(lambda T: AWAY @ T @ AWAY, "left-handed world .z", "--fix-poses left-handed-z"),

@@ -16,7 +16,7 @@ from monoloc.io.stray_scanner import StrayScannerRecording
 from monoloc.io.upright import Turned
 from monoloc.recording_check.evidence import Evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
-from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
+from monoloc.recording_check.pose_hypotheses import Hypothesis, as_stated, conventions, delays
 from monoloc.recording_check.wide_pairs import match_wide
 
 LEAST_PAIRS = 8
@@ -73,6 +73,7 @@ def explain(evidence: Evidence, share: float) -> Explanation | None:
         (*exact, *_fitted(evidence)),
         (explanation for reading in readings for explanation in _exact(reading)),
         _in_another_scale(evidence),
+        (_by_hypothesis(evidence, hypothesis) for hypothesis in conventions(many=True)),
     )
     found = (_best(list(explanations), _IMPROVEMENT * share) for explanations in stages)
     return next((explanation for explanation in found if explanation is not None), None)
@@ -98,9 +99,13 @@ def _best(explanations: list[Explanation], most: float) -> Explanation | None:
 def _exact(evidence: Evidence) -> Iterator[Explanation]:
     """Explanations without unknown numbers, by one reading of the depth."""
     for hypothesis in (*conventions(), *(delays() if evidence.recording.has_depth else ())):
-        measured = hypothesis.measure(evidence)
-        share = measured.median if 2 * measured.pairs >= min(LEAST_PAIRS, len(evidence.matches)) else float("inf")
-        yield Explanation(*_joined(evidence, hypothesis.what, hypothesis.option), hypothesis.parts, share)
+        yield _by_hypothesis(evidence, hypothesis)
+
+
+def _by_hypothesis(evidence: Evidence, hypothesis: Hypothesis) -> Explanation:
+    measured = hypothesis.measure(evidence)
+    share = measured.median if 2 * measured.pairs >= min(LEAST_PAIRS, len(evidence.matches)) else float("inf")
+    return Explanation(*_joined(evidence, hypothesis.what, hypothesis.option), hypothesis.parts, share)
 
 
 def _without_fix(evidence: Evidence) -> Iterator[Explanation]:

@@ -12,7 +12,7 @@ from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.reprojection import Reprojection
 
 _MOST_LATE = 10  # frames
-_AT_ONCE = 2  # conventions that may be wrong together
+_FEW = 2  # conventions that are wrong together more often than more of them
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ def as_stated(evidence: Evidence) -> Reprojection:
     return evidence.reproject(evidence.relative(evidence.poses), evidence.depth_m(evidence.poses))
 
 
-def conventions() -> Iterator[Hypothesis]:
-    """Single conventions and pairs of them, in the order in which they are undone."""
+def conventions(many: bool = False) -> Iterator[Hypothesis]:
+    """Single conventions and pairs of them, or three and more at once, in the order in which they are undone."""
     groups = (QUATERNIONS, DIRECTIONS, AXES, UNITS)
     choices: list[list[tuple[str, Convention | None]]] = [[("", None), *group.items()] for group in groups]
     for combination in product(*choices):
         chosen = {name: convention for name, convention in combination if convention is not None}
-        if 1 <= len(chosen) <= _AT_ONCE:
+        if chosen and (len(chosen) > _FEW) == many:
             yield _as_conventions(chosen)
 
 
