@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, is_rigid
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
+from monoloc.odometry.motion import FollowingOdometry, Motion, Translation, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.odometry.standing_image import StandingImage
 from monoloc.odometry.standing_pixels import StandingPixels
@@ -281,7 +281,9 @@ class FrontEnd:
 # A component or a sensor of a user's own may return anything, whatever the types say.
 def _checked_depth(depth: object, what: str) -> DepthPrediction:
     if not isinstance(depth, DepthPrediction):
-        fix = "make it of a sensor's image by monoloc.sensor_depth.sparse_depth"
+        fix = (
+            "make it by DepthPrediction(depth_m, camera), or of a sensor's image by monoloc.sensor_depth.sparse_depth"
+        )
         raise TypeError(f"{what} must be a DepthPrediction, got {type(depth).__name__}; {fix}")
     return depth
 
@@ -294,6 +296,11 @@ def _checked_motion(motion: object, what: str) -> Motion:
         raise ValueError(f"{what} must have a rigid T_previous_current, (4, 4)")
     if covariance is not None and not (np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()):
         raise ValueError(f"{what} must have a finite view_covariance, (6, 6)")
+    if motion.translation not in get_args(Translation):
+        raise ValueError(f"{what} has translation {motion.translation!r}; it must be scaled, metric or unknown")
+    if np.shape(motion.points) != (len(motion.log_depth_sd), 3):
+        shapes = f"{np.shape(motion.points)} and {np.shape(motion.log_depth_sd)}"
+        raise ValueError(f"{what} must have points (N, 3) and log_depth_sd (N,), got {shapes}")
     for sd in (motion.translation_sd_m, motion.rotation_sd_rad):
         if sd is not None and not 0.0 < sd < np.inf:
             raise ValueError(f"{what} must have positive and finite standard deviations, got {sd}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -261,6 +261,11 @@ def test_image_of_wrong_size_or_type_is_refused(shape: tuple[int, ...], dtype: s
         (Motion(2.0 * np.eye(4)), "odometry must have a rigid T_previous_current"),
         (Motion(np.eye(4)[:3]), "odometry must have a rigid T_previous_current"),
         (Motion(np.eye(4), view_covariance=np.full((6, 6), np.nan)), "odometry must have a finite view_covariance"),
+        (
+            Motion(np.eye(4), points=np.ones((4, 3))),
+            r"points \(N, 3\) and log_depth_sd \(N,\), got \(4, 3\) and \(0,\)",
+        ),
+        (Motion(np.eye(4), translation=cast(Any, "metres")), "'metres'; it must be scaled, metric or unknown"),
     ],
 )
 def test_what_is_no_motion_of_odometry_is_refused(motion: Any, message: str) -> None:

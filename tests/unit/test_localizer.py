@@ -324,6 +324,16 @@ def test_particles_that_landmarks_contradict_are_drawn_anew_around_the_belief(
     assert away_m < 0.05
 
 
+def test_landmark_pose_in_place_of_a_measurement_is_refused(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    localizer, own = localizer_at_truth(mixture, recording, thresholds), _Seen(recording.poses[0])
+    own.measure = lambda seen, prior, covariance: cast(Any, own._pose)  # type: ignore[method-assign]
+    localizer._landmarks = own
+    with pytest.raises(TypeError, match="landmarks measures must be a LandmarkMeasurement, got LandmarkPose"):
+        localizer.step(recording.color(0), FRAME_S, NO_DEPTH)
+
+
 def test_ten_particles_give_rigid_poses(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from monoloc.errors import DataError
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, make_pose, rotation_angle, so3_exp
 from monoloc.io.registry import select_frames
+from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
@@ -167,3 +169,13 @@ def test_recording_without_frames_is_refused(mixture: GaussianMixture, recording
     bundle, empty = make_bundle(mixture, recording, range(2)), RoomRecording(Room(), recording.poses[:0])
     with pytest.raises(DataError, match="room: gives no frames; give a recording with at least one"):
         localize(bundle, empty, Start(recording.poses[0]), np.random.default_rng(0), NoProgress())
+
+
+def test_components_of_ones_own_must_be_components(mixture: GaussianMixture, recording: RoomRecording) -> None:
+    bundle = make_bundle(mixture, recording)
+
+    def make(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
+        return cast(Any, {"depth": None})
+
+    with pytest.raises(TypeError, match="components must be a function that returns Components, got dict from it"):
+        Localizer(bundle, recording.camera, Start(recording.poses[0]), components=make)

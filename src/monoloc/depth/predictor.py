@@ -37,7 +37,7 @@ class DepthPrediction:
             does not predict it.
 
     Raises:
-        ValueError: other shapes, or values that are not finite where they are used.
+        ValueError: other shapes, negative depth, or values that are not finite where they are used.
     """
 
     depth_m: NDArray[np.float32]
@@ -49,8 +49,8 @@ class DepthPrediction:
         shapes = [self.depth_m.shape] if self.log_error is None else [self.depth_m.shape, self.log_error.shape]
         if any(each != shape for each in shapes):
             raise ValueError(f"depth_m and log_error must have the camera's shape {shape}, got {shapes}")
-        if not np.isfinite(self.depth_m).all():
-            raise ValueError("depth_m must be finite: 0 where there is none")
+        if not (np.isfinite(self.depth_m) & (self.depth_m >= 0.0)).all():
+            raise ValueError("depth_m must be finite and not negative: 0 where there is none")
         if self.log_error is not None and not np.isfinite(self.log_error[self.depth_m > 0.0]).all():
             raise ValueError("log_error must be finite where there is depth")
 

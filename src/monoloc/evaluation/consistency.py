@@ -95,13 +95,18 @@ def consistency(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) 
 
 def _normalised_squared(errors: FloatArray, Sigma: FloatArray) -> FloatArray:
     """Squared Mahalanobis length of errors (N, D) under covariances (N, D, D): (N,)."""
-    variances, axes = np.linalg.eigh(Sigma)
-    rounding = 1e-9 * np.abs(Sigma).max(axis=(-1, -2)) + _VARIANCE_FLOOR
-    asymmetry = np.abs(Sigma - np.swapaxes(Sigma, -1, -2)).max(axis=(-1, -2))
-    wrong = (variances[:, 0] < -rounding) | (asymmetry > rounding)
-    if wrong.any():
+    right = is_covariance(Sigma)
+    if not right.all():
         raise ValueError(
-            f"covariances must be symmetric and positive semidefinite, got frame {int(np.argmax(wrong))}"
+            f"covariances must be symmetric and positive semidefinite, got frame {int(np.argmin(right))}"
         )
+    variances, axes = np.linalg.eigh(Sigma)
     along_axes = (np.swapaxes(axes, -1, -2) @ errors[..., None])[..., 0]
     return np.asarray(np.sum(along_axes**2 / np.maximum(variances, _VARIANCE_FLOOR), axis=-1))
+
+
+def is_covariance(Sigma: FloatArray) -> NDArray[np.bool_]:
+    """Whether finite matrices (..., D, D) are symmetric and positive semidefinite, apart from rounding: (...)."""
+    rounding = 1e-6 * np.abs(Sigma).max(axis=(-1, -2)) + _VARIANCE_FLOOR
+    asymmetry = np.abs(Sigma - np.swapaxes(Sigma, -1, -2)).max(axis=(-1, -2))
+    return np.asarray((np.linalg.eigvalsh(Sigma)[..., 0] >= -rounding) & (asymmetry <= rounding))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import monoloc._core as _core
 from monoloc.camera import Camera
-from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
+from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99, is_covariance
 from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
 from monoloc.landmarks.features import Keypoints
 
@@ -55,7 +55,7 @@ class LandmarkPose:
         rival_nats: (K,) by how much less likely these are, by the corners' localisation error alone; not negative.
 
     Raises:
-        ValueError: the pose is not rigid, or the covariance is not finite or has a negative variance.
+        ValueError: the pose is not rigid, or the covariance is not finite, symmetric and positive semidefinite.
     """
 
     pose: FloatArray
@@ -71,8 +71,8 @@ class LandmarkPose:
             raise ValueError("the pose of landmarks must be a rigid T_world_camera, (4, 4)")
         if np.shape(self.covariance) != (6, 6) or not np.isfinite(self.covariance).all():
             raise ValueError("the covariance of a landmark pose must be finite, (6, 6)")
-        if np.any(np.diagonal(self.covariance) < 0.0):
-            raise ValueError("the covariance of a landmark pose must have no negative variance")
+        if not is_covariance(self.covariance):
+            raise ValueError("the covariance of a landmark pose must be symmetric and positive semidefinite")
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,9 @@ class LandmarkMeasurement:
         is_shown: (E,) bool, false at the border, where no keypoint is detected, and where a large part of the image
             shows nothing at all, such as a hand before half of the lens, which is no evidence about the room. If it
             is not given, the image shows something everywhere.
+
+    Raises:
+        ValueError: ``is_found`` does not have the length of ``visible``.
     """
 
     expected: int = 0
@@ -99,6 +102,10 @@ class LandmarkMeasurement:
     is_shown: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
 
     def __post_init__(self) -> None:
+        if len(self.is_found) != len(self.visible):
+            raise ValueError(
+                f"is_found must have shape ({len(self.visible)},) as visible, got ({len(self.is_found)},)"
+            )
         if len(self.is_shown) != len(self.visible):
             object.__setattr__(self, "is_shown", np.ones(len(self.visible), dtype=np.bool_))
 

@@ -83,8 +83,24 @@ def best_over_scales(
 ) -> tuple[float, float]:
     """The best mean log-likelihood of a scan at a pose (4, 4) over depth scales (N,), and the log-scale there."""
     poses = np.repeat(pose[None], len(log_scales), axis=0)
-    values = likelihood.mean_log_likelihood(poses, log_scales, scan, log_depth_sd)
+    values = checked_mean_log_likelihood(likelihood, poses, log_scales, scan, log_depth_sd)
     return float(values.max()), float(log_scales[values.argmax()])
+
+
+def checked_mean_log_likelihood(
+    likelihood: ScanLikelihood,
+    poses: FloatArray,
+    log_scale: FloatArray,
+    scan: Scan,
+    log_depth_sd: float | None = None,
+) -> FloatArray:
+    """:meth:`ScanLikelihood.mean_log_likelihood` of a likelihood that may be a user's own.
+
+    Raises:
+        ValueError: it does not return a finite value for each particle.
+    """
+    values = likelihood.mean_log_likelihood(poses, log_scale, scan, log_depth_sd)
+    return float64("what mean_log_likelihood returns", values, len(poses))
 
 
 def weigh_depth_image(
@@ -115,11 +131,10 @@ def _weigh(
         share: by which this number is multiplied.
 
     Raises:
-        ValueError: a likelihood of a user's own does not return a finite value for each particle.
+        ValueError: as :func:`checked_mean_log_likelihood`.
     """
     if len(scan) == 0 or share * effective_points == 0.0:
         return particles
-    mean = likelihood.mean_log_likelihood(particles.poses, particles.log_scale, scan, log_depth_sd)
-    mean = float64("what mean_log_likelihood returns", mean, len(particles.log_weights))
+    mean = checked_mean_log_likelihood(likelihood, particles.poses, particles.log_scale, scan, log_depth_sd)
     log_weights = particles.log_weights + share * min(effective_points, len(scan)) * mean
     return Particles(particles.poses, particles.log_scale, normalised(log_weights))

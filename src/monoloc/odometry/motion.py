@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, is_rigid, made_rigid, make_pose
 
+Translation = Literal["scaled", "metric", "unknown"]
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -40,7 +42,7 @@ class Motion:
     inliers: int = 0
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     log_depth_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
-    translation: Literal["scaled", "metric", "unknown"] = "scaled"
+    translation: Translation = "scaled"
     translation_sd_m: float | None = None
     rotation_sd_rad: float | None = None
     view_covariance: FloatArray | None = None

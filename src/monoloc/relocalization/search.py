@@ -11,7 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from monoloc.geometry import FloatArray, pose_distance_m, se3_exp
-from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood, weigh_depth_image
+from monoloc.likelihood.protocol import (
+    LikelihoodConfig,
+    ScanLikelihood,
+    checked_mean_log_likelihood,
+    weigh_depth_image,
+)
 from monoloc.likelihood.scan import Scan
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.particles import Particles, scatter
@@ -62,7 +67,7 @@ class GlobalRelocalizer:
         coarse = _subset(scan, _COARSE_POINTS)
         drawn = self._drawn_around(np.repeat(self._seeds, _DRAWN, axis=0), rng)
         sd = max(_COARSE_LOG_DEPTH_SD, self._config.log_depth_sd)
-        values = self._likelihood.mean_log_likelihood(drawn.poses, drawn.log_scale, coarse, sd)
+        values = checked_mean_log_likelihood(self._likelihood, drawn.poses, drawn.log_scale, coarse, sd)
         modes = [
             self._refined(pose, _COARSE_SD, _COARSE_PARTICLES, coarse, rng) for pose in _modes(drawn.poses, values)
         ]
@@ -89,7 +94,7 @@ class GlobalRelocalizer:
     def _best(self, places: list[Estimate], scan: Scan) -> tuple[Estimate, float]:
         poses = np.stack([place.pose for place in places])
         log_scales = np.array([place.log_scale for place in places])
-        values = self._likelihood.mean_log_likelihood(poses, log_scales, scan)
+        values = checked_mean_log_likelihood(self._likelihood, poses, log_scales, scan)
         best = int(np.argmax(values))
         return places[best], float(values[best])
 

@@ -186,9 +186,10 @@ def test_depth_that_is_no_number_is_refused_before_it_spoils_a_frame(value: floa
     log_error[1, 1] = value
     with pytest.raises(ValueError, match="log_error must be finite where there is depth"):
         DepthPrediction(depth_m, camera, log_error)
-    depth_m[2, 2] = value
-    with pytest.raises(ValueError, match="depth_m must be finite: 0 where there is none"):
-        DepthPrediction(depth_m, camera)
+    for bad in (value, -1.0):
+        depth_m[2, 2] = bad
+        with pytest.raises(ValueError, match="depth_m must be finite and not negative: 0 where there is none"):
+            DepthPrediction(depth_m, camera)
 
 
 def test_pixel_whose_stated_error_is_nan_has_no_depth() -> None:

@@ -15,7 +15,7 @@ from monoloc.fusion.bias_model import LandmarkBiasModel
 from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_exp, se3_log, so3_exp, transform
 from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import LandmarkPose, fit_matches, is_within_prior, prior_radius_m
+from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose, fit_matches, is_within_prior, prior_radius_m
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from synthetic_room import CAMERA
 
@@ -240,9 +240,15 @@ def test_prior_radius_bounds_the_poses_within_the_prior(seed: int) -> None:
         (2.0 * np.eye(4), np.eye(6), "pose of landmarks must be a rigid T_world_camera"),
         (np.eye(4), np.ones(6), "covariance of a landmark pose must be finite, .6, 6."),
         (np.eye(4), np.full((6, 6), np.nan), "covariance of a landmark pose must be finite, .6, 6."),
-        (np.eye(4), -np.eye(6), "covariance of a landmark pose must have no negative variance"),
+        (np.eye(4), -np.eye(6), "covariance of a landmark pose must be symmetric and positive semidefinite"),
+        (np.eye(4), np.triu(np.ones((6, 6))), "covariance of a landmark pose must be symmetric"),
     ],
 )
 def test_what_is_no_landmark_pose_is_refused(pose: FloatArray, covariance: FloatArray, problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         LandmarkPose(pose, covariance, np.zeros((20, 3)))
+
+
+def test_flags_of_other_landmarks_than_those_in_view_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"is_found must have shape \(5,\) as visible, got \(2,\)"):
+        LandmarkMeasurement(5, 2, None, np.arange(5), np.ones(2, dtype=np.bool_))

@@ -10,7 +10,13 @@ import pytest
 from map_helpers import make_mixture, make_particles
 from monoloc.geometry import FloatArray
 from monoloc.likelihood import make_likelihood
-from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood, weigh_corners, weigh_depth_image
+from monoloc.likelihood.protocol import (
+    LikelihoodConfig,
+    ScanLikelihood,
+    best_over_scales,
+    weigh_corners,
+    weigh_depth_image,
+)
 from monoloc.likelihood.ray import RayLikelihood
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, uniform_scan
 from monoloc.likelihood.volume import VolumeLikelihood
@@ -144,3 +150,5 @@ def test_likelihood_of_ones_own_must_give_a_finite_value_a_particle(
     particles = Particles(*make_particles(20, np.random.default_rng(0)), normalised(np.zeros(20)))
     with pytest.raises(ValueError, match=f"^what mean_log_likelihood returns must {found}"):
         weigh_depth_image(particles, scan, _Own(values), LikelihoodConfig())
+    with pytest.raises(ValueError, match=f"^what mean_log_likelihood returns must {found}"):
+        best_over_scales(_Own(values), particles.poses[0], scan, np.zeros(20))
