@@ -66,6 +66,7 @@ from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc.step_budget import budget_line
 from monoloc.supervision.state import State
 from monoloc.trajectory_output import WritingViewer, check_trajectory, trajectory_output
+from monoloc.version import commit
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.run_drawing import DrawnRun
 from monoloc.viz.viewer import run_viewer
@@ -193,8 +194,8 @@ def localize_command(
     metrics = run.metrics()
     if json:
         source_of_depth = "sensor" if depth == "sensor" else "network"
-        what = {"bundle": str(bundle), "digest": digest, "source": source, "seed": seed, "depth": source_of_depth}
-        print_json({**what, **metrics})
+        what = {"bundle": str(bundle), "digest": digest, "commit": commit(), "source": source, "selection": frames}
+        print_json({**what, "start": start, "seed": seed, "depth": source_of_depth, **metrics})
     else:
         show(metrics)
         say_written(*written)
