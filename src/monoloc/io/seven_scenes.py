@@ -32,7 +32,8 @@ COLOR_CAMERA = Camera(
 )
 DEPTH_CAMERA = Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.0, cy=240.0)
 
-# Published calibration of the same sensor type, which the relocalisation literature uses for 7-Scenes.
+# Calibration of another Kinect that DSAC* and ACE use for 7-Scenes:
+# https://projet.liris.cnrs.fr/voir/activities-dataset/kinect-calibration.html
 _PUBLISHED = np.array(
     [
         [0.99996518, 0.00267651, -0.00790410, -0.02555894],
