@@ -169,10 +169,11 @@ class StandingPixels:
         self._mark()
 
     def _mark(self) -> None:
-        stands: NDArray[Any] = (self._nats > _STANDS_NATS).astype(np.uint8)
+        found = self._nats > _STANDS_NATS
+        stands: NDArray[Any] = found.astype(np.uint8)
         stands = cv2.morphologyEx(stands, cv2.MORPH_CLOSE, np.ones((_GAP_PX, _GAP_PX), np.uint8))
         mask = cv2.dilate(stands, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
-        self.mask = mask & (_LEAST_SHARE <= mask.mean() <= _MOST_SHARE)
+        self.mask = mask & (found.mean() >= _LEAST_SHARE) & (mask.mean() <= _MOST_SHARE)
         self.share = float(self.mask.mean())
         self.has_grown = self.share > self._largest_share + _GROWN
         if self.has_grown:
