@@ -34,6 +34,8 @@ RECOVERY = "Kidnaps, starts without a pose, edited maps"
 FAULTS_OF_ROW = {
     "black, covered, saturated, frozen": ("black", "covered", "saturated", "frozen"),
     "noise, other room, mirrored, turned by 180 degrees": ("noise", "other-room", "mirrored", "turned-180"),
+    "propeller guards in view, whole flight": ("propeller-guards",),
+    "drops on the lens, whole flight": ("drops",),
     "half covered on the right": ("half-covered-right",),
     "half covered on the left or below, blurred, flickering, JPEG at 10": (
         "half-covered-left",

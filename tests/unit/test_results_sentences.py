@@ -192,6 +192,7 @@ def shares(faults: dict[str, Any], *names: str) -> list[float]:
 AFTER = [fault["after"] for fault in FAULTS[1].values() if fault["after"]["silent_frames"]]
 WORST = max(AFTER, key=lambda part: part["silent_frames"])
 BUT_LENSES = [fault for name, fault in FAULTS[1].items() if name not in (*LENSES, "none")]
+GUARDS = FAULTS[0]["propeller-guards"]["during"]
 TENTH_LONGER, LONGER = (FAULTS[1][f"longer-lens-{percent}"]["during"] for percent in (10, 30))
 
 
@@ -237,15 +238,21 @@ STATE: tuple[Sentence, ...] = (
     ),
     (
         "half covered on the left {}, on the right {}, below {}; flickering {}; JPEG at 10 {}; mirrored {}; "
-        "turned {}; wrong lenses {} to {} ({} or {} frames each)",
+        "turned {}; guards {}; drops {}; wrong lenses {} to {} ({} or {} frames each)",
         [
             *shares(FAULTS[1], "half-covered-left", "half-covered-right", "half-covered-lower"),
-            *shares(FAULTS[1], "flickering", "jpeg-quality-10", "mirrored", "turned-180"),
+            *shares(
+                FAULTS[1], "flickering", "jpeg-quality-10", "mirrored", "turned-180", "propeller-guards", "drops"
+            ),
             min(shares(FAULTS[1], *LENSES)),
             max(shares(FAULTS[1], *LENSES)),
             FAULTS[1]["mirrored"]["during"]["frames"],
             FAULTS[1][LENSES[0]]["during"]["frames"],
         ],
+    ),
+    (
+        "with [guards in view](decisions/odometry.md#pixels-that-stand-still), in {} of {} frames",
+        [GUARDS["states"]["map-changed"], GUARDS["frames"]],
     ),
     (
         "held all poses but those of turned images ({}) and of wrong lenses ({} to {})",
@@ -263,9 +270,9 @@ def test_what_the_state_says_without_a_number() -> None:
     assert len(AFTER) == 3
     assert not any(
         "map-changed" in part["states"]
-        for fault in FAULTS[0].values()
-        for part in fault.values()
-        if isinstance(part, dict)
+        for name, fault in FAULTS[0].items()
+        for part in (fault["during"], fault["after"])
+        if name != "propeller-guards"
     )
     others = [fault for name, fault in FAULTS[0].items() if name not in (*LENSES, "mirrored", "turned-180")]
     assert {fault["during"]["coverage_95"] for fault in others} == {1.0, None}
