@@ -19,6 +19,7 @@ from monoloc.likelihood.scan import scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.scale_tilt import ScaleTiltConfig, correct_scale_and_tilt
+from monoloc.odometry.standing_pixels import StandingPixels
 from monoloc.second_thread import SecondThread
 from monoloc.step_budget import StepPlan
 
@@ -88,7 +89,8 @@ def make_front_end(
     landmarks: LandmarkLocalizer[Any] | None = None,
 ) -> FrontEnd:
     components = Components(depth or _Depth(), odometry, likelihood=None, landmarks=landmarks or NoLandmarks())
-    return FrontEnd(components, CAMERA, config, np.random.default_rng(0), SecondThread(config.threads == 2))
+    second_thread = SecondThread(config.threads == 2)
+    return FrontEnd(components, CAMERA, config, np.random.default_rng(0), second_thread, StandingPixels(CAMERA))
 
 
 def test_first_frame_has_no_elapsed_time_and_counts_as_tracked() -> None:

@@ -52,6 +52,7 @@ def exact_run(recording: RoomRecording) -> Run:
         log_scales=np.zeros(count),
         step_ms=np.ones(count),
         landmark_used=np.zeros(count, dtype=np.bool_),
+        standing_shares=np.zeros(count),
         depth=None,
     )
 

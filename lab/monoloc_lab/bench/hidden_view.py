@@ -1,6 +1,6 @@
 """A picture of the depth that is left of images with propeller guards, or drops on the lens, in them.
 
-python -m monoloc_lab.make.hidden_view --out docs/pictures/hidden-view.webp
+python -m monoloc_lab.bench.hidden_view --out docs/pictures/hidden-view.webp
 """
 
 from __future__ import annotations
