@@ -23,7 +23,9 @@ from monoloc.odometry.motion import Motion
 
 _WIDTH, _GRID_WIDTH = 160, 20  # px: of the compared images, and of the grid on which the room's shift is computed
 _LEAST_SHIFT_PX = 4.0  # median over the image, between two compared images
-_MEAN = 100.0  # grey level to which each image is scaled, since exposure changes
+# Grey levels are relative to their mean over a square, since exposure changes, and a lamp on the drone lights the same
+# part of every image. The mean counts as no darker than a level at which noise would look like texture.
+_LIGHT_PX, _MEAN, _DARK = 51, 100.0, 16.0
 _NOISE = 6.0  # grey levels; two predictions differ if they are twice as far apart
 _LEAST_MOVED = 0.25  # of these pixels, those that shift as the room does; else the motion is wrong
 _AROUND_PX, _LEAST_DECIDED = 5, 0.2  # square over which evidence is averaged, and share of it that must be decided
@@ -39,7 +41,7 @@ class _Compared:
     """The image that the next one is compared with.
 
     Attributes:
-        gray: (h, w), scaled.
+        gray: (h, w), relative to the light around.
         landmark_pose: ``T_world_camera`` by landmarks, (4, 4), or None.
         T_compared_current: motion since by odometry, (4, 4); None where it is unknown.
     """
@@ -115,7 +117,7 @@ class StandingPixels:
         # Where landmarks say that the camera stands, odometry follows somebody who walks past.
         if motions and not is_far[-1]:
             return
-        gray = self._scaled(color)
+        gray = self._relative(color)
         if last is not None and motions:
             self._compare(gray, last.gray, sources_px[is_far.index(True)])
         self._last = _Compared(gray, landmark_pose, np.eye(4))
@@ -137,9 +139,10 @@ class StandingPixels:
         is_hidden = self.stands(self._depth_places[1]).reshape(depth.depth_m.shape)
         return replace(depth, depth_m=np.where(is_hidden, np.float32(0.0), depth.depth_m))
 
-    def _scaled(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
-        gray = gray_image(color, (self._camera.width, self._camera.height))
-        return np.asarray(gray * np.float32(_MEAN / max(float(gray.mean()), 1.0)), dtype=np.float32)
+    def _relative(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
+        gray = gray_image(color, (self._camera.width, self._camera.height)).astype(np.float32)
+        light = cv2.blur(gray, (_LIGHT_PX, _LIGHT_PX))
+        return np.asarray(_MEAN * gray / np.maximum(light, _DARK), dtype=np.float32)
 
     def _source_px(self, T_compared_current: FloatArray, depth: DepthPrediction) -> FloatArray:
         """Where the compared image showed what the grid shows of the room, (N, 2); far outside if nowhere."""
