@@ -23,8 +23,8 @@ from monoloc.odometry.motion import Motion
 
 _WIDTH, _GRID_WIDTH = 160, 20  # px: of the compared images, and of the grid on which the room's shift is computed
 _LEAST_SHIFT_PX = 4.0  # median over the image, between two compared images
-# Grey levels are relative to their mean over a square, since exposure changes, and a lamp on the drone lights the same
-# part of every image. The mean counts as no darker than a level at which noise would look like texture.
+# Grey levels are relative to their mean over a square, since exposure changes, and a lamp on the drone lights the
+# same part of every image. The mean counts as no darker than a level at which noise would look like texture.
 _LIGHT_PX, _MEAN, _DARK = 51, 100.0, 16.0
 _NOISE = 6.0  # grey levels; two predictions differ if they are twice as far apart
 _LEAST_MOVED = 0.25  # of these pixels, those that shift as the room does; else the motion is wrong
