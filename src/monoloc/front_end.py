@@ -176,10 +176,10 @@ class FrontEnd:
         self._waited_s = self._waited_s + elapsed_s if waits else 0.0
         if depth is not None:
             depth = self._corrected(depth, motion)
-            if measured_depth is None:  # a sensor's is of another lens
-                depth = self._standing_pixels.without(depth)
             if self._has_scans:
-                scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
+                # A sensor's depth is of another lens.
+                of_room = self._standing_pixels.without(depth) if measured_depth is None else depth
+                scan = self._scan(of_room, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
             elapsed_s=elapsed_s,
             is_first=self._is_first,

@@ -223,7 +223,7 @@ class Localizer:
             scan=observation.scan,
             changed_region=supervision.changed_region,
             level=level,
-            standing_share=self._standing_pixels.share,
+            standing=self._standing_pixels.mask if self._standing_pixels.share else None,
         )
 
     def _plan(self, level: Level | None) -> tuple[Level, StepPlan]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.likelihood.scan import Scan
@@ -38,8 +41,9 @@ class Step:
         changed_region: a region in view that no longer matches the map; None if there is none, or if the pose is not
             known well enough to tell.
         level: what the step left out to keep its budget.
-        standing_share: share of the image, 0..1, that stands still while the camera moves, such as a part of the
-            drone (:mod:`monoloc.odometry.standing_pixels`); the step leaves it out. 0 below 2 %.
+        standing: (h, w) bool, the image in small, what stands still in it while the camera moves, such as a part of
+            the drone (:mod:`monoloc.odometry.standing_pixels`). Scan and odometry leave it out; ``depth`` does not,
+            since somebody who walks ahead of the camera stands still in its images, too. None if it is little.
     """
 
     estimate: Estimate
@@ -56,4 +60,9 @@ class Step:
     scan: Scan
     changed_region: ChangedRegion | None
     level: Level = Level.FULL
-    standing_share: float = 0.0
+    standing: NDArray[np.bool_] | None = None
+
+    @property
+    def standing_share(self) -> float:
+        """Share of the image that stands still, 0..1."""
+        return 0.0 if self.standing is None else float(self.standing.mean())

@@ -1,4 +1,4 @@
-"""A picture of the depth that is left of images with propeller guards, or drops on the lens, in them.
+"""A picture of what is found to stand still in images with propeller guards, or with drops on the lens.
 
 python -m monoloc_lab.bench.hidden_view --out docs/pictures/hidden-view.webp
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from monoloc.bundle import read_bundle
@@ -21,14 +22,15 @@ from monoloc.io.registry import open_recording
 from monoloc.localizer import Localizer
 from monoloc.start import Start
 from monoloc.step import Step
+from monoloc.viz.picture import VERMILION
 from monoloc_lab.bench.faults import FAULTS, Surroundings
 from monoloc_lab.bench.judged_flight import FlightFrame, Image
 from monoloc_lab.rooms import BUILD, BUNDLE, TESTS
 
 _SIZE_IN, _DPI = (8.0, 3.7), 100
-_ROWS = {"propeller-guards": "guards", "drops": "drops"}
+_FAULTS = ("propeller-guards", "drops")
 _FRAMES = (0, 45, 60)  # that are shown
-_DEPTH_M = (0.5, 5.0)
+_MARK = ListedColormap([VERMILION])
 
 
 def flown(fault: str) -> Iterator[tuple[Image, Step]]:
@@ -50,17 +52,16 @@ def flown(fault: str) -> Iterator[tuple[Image, Step]]:
 
 
 def draw(figure: Figure) -> None:
-    grid = figure.subplots(len(_ROWS), len(_FRAMES) + 1)
-    for axes, (fault, name) in zip(grid, _ROWS.items(), strict=True):
+    for axes, fault in zip(figure.subplots(len(_FAULTS), len(_FRAMES)), _FAULTS, strict=True):
         steps = list(flown(fault))
-        _show(axes[0], name)
-        axes[0].imshow(steps[_FRAMES[-1]][0])
-        for axis, index in zip(axes[1:], _FRAMES, strict=True):
-            step = steps[index][1]
-            assert step.depth is not None
-            _show(axis, f"frame {index}: {step.standing_share:.0%} left out")
-            known = np.ma.masked_equal(step.depth.depth_m, 0.0)
-            axis.imshow(known, vmin=_DEPTH_M[0], vmax=_DEPTH_M[1], cmap="viridis")
+        for axis, index in zip(axes, _FRAMES, strict=True):
+            image, step = steps[index]
+            _show(axis, f"frame {index}: {step.standing_share:.0%} stands still")
+            axis.imshow(image)
+            if step.standing is not None:
+                height, width = image.shape[:2]
+                marked = np.ma.masked_equal(step.standing, False)
+                axis.imshow(marked, extent=(-0.5, width - 0.5, height - 0.5, -0.5), cmap=_MARK, alpha=0.7)
 
 
 def _show(axis: Axes, title: str) -> None:

@@ -178,7 +178,7 @@ class Preflight:
 
     def _of_view(self) -> Iterator[Finding]:
         if self._standing_share:
-            value = f"{self._standing_share:.0%} of the image stands still while the camera moves, and is left out"
+            value = f"{self._standing_share:.0%} of the image stands still while the camera moves, and is not used"
             remark = "clean the lens, or move the camera away from parts of the drone"
             yield Finding("view", "warning", value, remark)
 

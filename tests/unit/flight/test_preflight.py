@@ -264,7 +264,7 @@ def test_stated_roll_of_a_turned_camera_is_to_be_corrected() -> None:
 
 
 def test_what_stands_still_in_the_image_is_named_with_its_share() -> None:
-    found = findings_of(replace(good_step(), standing_share=0.14))["view"]
+    found = findings_of(replace(good_step(), standing=np.arange(100).reshape(10, 10) < 14))["view"]
     assert (found.level, found.value[:12]) == ("warning", "14% of the i")
     assert "view" not in findings_of(good_step())
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mavlink_helpers import result_at, step_at
 from monoloc.errors import DataError
@@ -60,10 +61,14 @@ def test_what_is_left_out_to_keep_the_budget_is_said_as_it_changes() -> None:
     assert flight.printed()[1:] == ["    1.00 s  budget: fewer particles", "    3.00 s  budget: full"]
 
 
+def stands(share: float) -> NDArray[np.bool_]:
+    return np.arange(1000).reshape(20, 50) < 1000 * share
+
+
 def test_what_stands_still_in_the_image_is_said_once() -> None:
     flight = Flight()
     for index, share in enumerate([0.0, 0.172, 0.18, 0.0, 0.1]):
-        flight.output.take(result_at(100.0 + index, replace(step_at(POSE), standing_share=share), age_s=0.0))
+        flight.output.take(result_at(100.0 + index, replace(step_at(POSE), standing=stands(share)), age_s=0.0))
     assert flight.printed()[1:] == ["    1.00 s  17% of the image stands still: the drone's own, or dirt"]
 
 
