@@ -31,7 +31,7 @@ _LEAST_MOVED = 0.25  # of these pixels, those that shift as the room does; else 
 _AROUND_PX, _LEAST_DECIDED = 5, 0.2  # square over which evidence is averaged, and share of it that must be decided
 _MOST_NATS, _STANDS_NATS = 8.0, 3.0  # evidence at most, and from which on a pixel stands still
 _GAP_PX, _MARGIN_PX = 5, 3  # of the squares that close gaps, and that widen what stands still
-_LEAST_SHARE, _MOST_SHARE = 0.02, 0.7  # of the image: less does not matter, and if it were more, little would be left
+_LEAST_SHARE, _MOST_SHARE = 0.03, 0.7  # of the image: less does not matter, and if it were more, little would be left
 _GROWN = 0.02  # of the image
 _NO_JUMP = 1e3  # depth is interpolated across edges, too
 
@@ -68,7 +68,7 @@ class StandingPixels:
     """Follows the evidence that pixels of one camera stand still; call :meth:`update` after every frame.
 
     Attributes:
-        mask: (h, w) bool, what stands still, in a small image. All false where it is less than 2 % of the image, or
+        mask: (h, w) bool, what stands still, in a small image. All false where it is less than 3 % of the image, or
             more than 70 %.
         share: of the image that it is, 0..1.
         has_grown: whether the last frame added more than 2 % of the image to it.
