@@ -21,7 +21,8 @@ _TRUST = 0.1  # share of a plan after which what it took counts as much as what 
 class Step(Protocol):
     """Reports the number of completed steps of a task, with an optional remark.
 
-    A task that has to prepare its steps reports 0 when they begin, so that the rate is theirs.
+    A task that has to prepare its steps reports 0 when they begin, so that the rate is theirs. One whose steps take
+    minutes reports what it begins: the same number again, with a remark.
     """
 
     def __call__(self, done: int, remark: str = "", /) -> None: ...
@@ -30,8 +31,13 @@ class Step(Protocol):
 class Progress(Protocol):
     """Shows the progress of tasks. Library code reports to this interface only."""
 
-    def task(self, name: str, total: int | None) -> AbstractContextManager[Step]:
-        """Context whose value is called with the number of completed steps; ``total`` is None if unknown."""
+    def task(self, name: str, total: int | None, alike: bool = True) -> AbstractContextManager[Step]:
+        """Context whose value is called with the number of completed steps.
+
+        Args:
+            total: number of steps; None if unknown.
+            alike: whether steps take about as long as each other; if not, neither rate nor remaining time is shown.
+        """
         ...
 
 
@@ -39,7 +45,7 @@ class NoProgress:
     """Shows nothing; the default for library use."""
 
     @contextmanager
-    def task(self, name: str, total: int | None) -> Iterator[Step]:
+    def task(self, name: str, total: int | None, alike: bool = True) -> Iterator[Step]:
         yield _say_nothing
 
 
@@ -112,11 +118,11 @@ class ConsoleProgress:
         self._plan = plan
 
     @contextmanager
-    def task(self, name: str, total: int | None) -> Iterator[Step]:
+    def task(self, name: str, total: int | None, alike: bool = True) -> Iterator[Step]:
         if self._plan is not None:
             name = self._plan.start(name)
         show = self._bar if self._console.is_terminal else self._log
-        with show(name, total) as step:
+        with show(name, total, alike) as step:
             yield step
 
     def _of_all(self, done: int, total: int | None, task_s: float = 0.0) -> str:
@@ -125,7 +131,7 @@ class ConsoleProgress:
         return "" if remaining_s is None else f"about {max(remaining_s, task_s):.0f} s to the end"
 
     @contextmanager
-    def _log(self, name: str, total: int | None) -> Iterator[Step]:
+    def _log(self, name: str, total: int | None, alike: bool) -> Iterator[Step]:
         # Output goes to a log or another program: no bars, and no final line for a task that fails.
         started = begun = logged = time.perf_counter()
         first: int | None = None
@@ -134,37 +140,43 @@ class ConsoleProgress:
             nonlocal begun, first, logged
             now = time.perf_counter()
             if done == 0:
-                first, begun = 0, now
-                return
-            first = done - 1 if first is None else first  # a resumed task does not start at 0
-            if not remark and now - logged < _LOG_INTERVAL_S:
+                begun = now
+            if first is None:
+                first = max(0, done - 1)  # a resumed task does not start at 0
+            if not remark and (done == 0 or now - logged < _LOG_INTERVAL_S):
                 return
             logged = now
-            how = remark or _rate((done - first) / (now - begun))
-            remaining_s = 0.0 if total is None else (now - begun) * (total - done) / (done - first)
-            of_all = self._of_all(done, total, remaining_s)
-            ending = f", {of_all}" if of_all else ""
-            if total is None:
-                self._say(f"{name}: {done}, {how}{ending}")
-                return
-            share = "" if remark else f" ({100.0 * done / total:.0f} %)"
-            self._say(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining{ending}")
+            step_s = (now - begun) / (done - first) if alike and done > first else None
+            self._say(f"{name}: {self._line(done, total, remark, step_s)}")
 
         yield log
         self._say(f"{name}: done in {time.perf_counter() - started:.1f} s")
+
+    def _line(self, done: int, total: int | None, remark: str, step_s: float | None) -> str:
+        """How far a task is, with the mean duration of its steps if it is known."""
+        of = "" if total is None else f" of {total}"
+        share = f" ({100.0 * done / total:.0f} %)" if total and not remark else ""
+        remaining_s = None if total is None or step_s is None else step_s * (total - done)
+        parts = [
+            f"{done}{of}{share}",
+            remark or ("" if step_s is None else _rate(1.0 / step_s)),
+            "" if remaining_s is None else f"{remaining_s:.0f} s remaining",
+            self._of_all(done, total, remaining_s or 0.0),
+        ]
+        return ", ".join(part for part in parts if part)
 
     def _say(self, line: str) -> None:
         self._console.print(line, soft_wrap=True)  # whole: who reads a log has no width of 80 characters
 
     @contextmanager
-    def _bar(self, name: str, total: int | None) -> Iterator[Step]:
+    def _bar(self, name: str, total: int | None, alike: bool) -> Iterator[Step]:
         with rich_progress.Progress(
             rich_progress.TextColumn("{task.description:<16}", markup=False),
             rich_progress.BarColumn(bar_width=30),
             rich_progress.MofNCompleteColumn(),
-            _Rate(),
+            *((_Rate(),) if alike else ()),
             rich_progress.TimeElapsedColumn(),
-            rich_progress.TimeRemainingColumn(),
+            *((rich_progress.TimeRemainingColumn(),) if alike else ()),
             rich_progress.TextColumn("{task.fields[of_all]}", markup=False),
             rich_progress.TextColumn("{task.fields[remark]}", markup=False),
             console=self._console,

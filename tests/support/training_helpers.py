@@ -37,7 +37,7 @@ class RecordedProgress:
         self._stop_at = stop_at
 
     @contextmanager
-    def task(self, name: str, total: int | None) -> Iterator[Step]:
+    def task(self, name: str, total: int | None, alike: bool = True) -> Iterator[Step]:
         def step(done: int, remark: str = "", /) -> None:
             self.steps.append((name, done, remark))
             if name == "train" and done == self._stop_at:

@@ -75,6 +75,20 @@ def test_time_before_the_first_step_is_no_part_of_the_rate(clock: Clock) -> None
     ]
 
 
+def test_steps_of_different_length_are_announced_and_give_no_remaining_time(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("tasks", 2, alike=False) as step:
+        for done, remark in ((0, "to do: bundle 1, run 1"), (0, "begins bundle"), (1, "took 400 s: bundle")):
+            step(done, remark)
+            clock.now_s += 400.0
+    assert log.getvalue().splitlines() == [
+        "tasks: 0 of 2, to do: bundle 1, run 1",
+        "tasks: 0 of 2, begins bundle",
+        "tasks: 1 of 2, took 400 s: bundle",
+        "tasks: done in 1200.0 s",
+    ]
+
+
 def test_steps_without_a_remark_are_counted_but_not_logged(clock: Clock) -> None:
     log = io.StringIO()
     with ConsoleProgress(Console(file=log, width=200)).task("adapt", 40) as step:

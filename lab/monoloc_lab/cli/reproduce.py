@@ -21,7 +21,6 @@ from monoloc.cli.output_checks import check_folder
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import require_plotting, training_extra
 from monoloc.io.registry import absolute_source, open_recording
-from monoloc.progress import ConsoleProgress
 
 if TYPE_CHECKING:
     from monoloc_lab.experiments.study import Study
@@ -135,7 +134,8 @@ def reproduce(
     """
     with training_extra():
         import torch  # noqa: F401
-    from monoloc_lab.experiments.engine import carry_out, check_scheduler
+    from monoloc_lab.cli.study_run import carry_out_shown
+    from monoloc_lab.experiments.engine import check_scheduler
     from monoloc_lab.experiments.figures import chosen_figures, draw_figure
     from monoloc_lab.experiments.report import write_report
 
@@ -167,7 +167,7 @@ def reproduce(
     _check_length(tasks)
     out = out.resolve()
     out.mkdir(exist_ok=True)
-    results = carry_out(tasks, out, ConsoleProgress(stderr), processes, dask)
+    results = carry_out_shown(tasks, out, processes, dask)
     drawn = [(figure, draw_figure(figure, study, results, out)) for figure, _ in drawable]
     worked_s = sum(result.seconds for result in results.values())
     content = write_report(out, study, drawn, left_out, time.perf_counter() - started, worked_s)

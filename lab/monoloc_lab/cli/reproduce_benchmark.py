@@ -13,8 +13,7 @@ from monoloc.cli.output_checks import check_folder
 from monoloc.config import override
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole
-from monoloc.progress import ConsoleProgress
-from monoloc_lab.experiments.engine import carry_out
+from monoloc_lab.cli.study_run import carry_out_shown
 from monoloc_lab.experiments.provenance import provenance
 from monoloc_lab.experiments.published import BENCHMARKS, over_scenes, read_scene, scene_row, scene_runs
 from monoloc_lab.experiments.study import SIZES, WIDTH
@@ -56,7 +55,7 @@ def reproduce_benchmark(
     out = out.resolve()
     out.mkdir(exist_ok=True)
     wanted = [run for of_scene in runs for run in of_scene.values()]
-    results = carry_out(wanted, out, ConsoleProgress(stderr), workers, dask)
+    results = carry_out_shown(wanted, out, workers, dask)
     rows = [scene_row(scene, of_scene, results) for scene, of_scene in zip(chosen, runs, strict=True)]
     whole = len(rows) == len(BENCHMARKS[benchmark].scenes)
     content = {

@@ -24,10 +24,11 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.errors import MissingExtraError, MonolocError, SettingError
-from monoloc.progress import Progress
+from monoloc.progress import Progress, Step
 from monoloc_lab.experiments.provenance import source_commit
 from monoloc_lab.experiments.task import RESULT, TASK, Result, Results, Task, read_result
 from monoloc_lab.experiments.work import KINDS, Work
+from monoloc_lab.experiments.workload import tasks_to_do, time_to_do
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -77,12 +78,13 @@ def carry_out(
     with _locked(out):
         results = {task: result for task in ordered if (result := read_result(out, task)) is not None}
         waiting = [task for task in ordered if task not in results]
-        # Those that were done before are not counted: with them, the rate and the remaining time would be wrong.
+        # Those that were done before are not counted: with them, a continued run would seem to be faster than it is.
         before = f" ({len(results)} more were done before)" if results else ""
-        with progress.task(f"tasks{before}", len(waiting)) as show:
+        with progress.task(f"tasks{before}", len(waiting), alike=False) as show:
             if waiting:
+                show(0, tasks_to_do(waiting, results))
                 with _cluster(scheduler) if scheduler else _cores(min(workers, len(waiting))) as executor:
-                    at_once = len(waiting) if scheduler else workers
+                    at_once = None if scheduler else workers
                     failures = _execute(waiting, results, out, executor, at_once, kinds, show)
                 if failures:
                     raise _exception_of(failures)
@@ -179,24 +181,26 @@ def _execute(
     results: dict[Task, Result],
     out: Path,
     executor: Executor,
-    at_once: int,
+    at_once: int | None,
     kinds: Mapping[str, Work],
-    show: Any,
+    show: Step,
 ) -> dict[Task, _Failure]:
     """Execute every task once its needs are done; fills ``results`` and returns the failures.
 
     Args:
         waiting: in an order in which a task comes soon after its needs. The first that can start does, so that a run
             that is stopped leaves few bundles that were not flown.
-        at_once: number of tasks that are submitted at a time.
+        at_once: number of tasks that are submitted at a time, and begin then; None for a cluster, which queues them.
     """
     failures: dict[Task, _Failure] = {}
     before = len(results)
     running: dict[Future[_Failure | None], Task] = {}
     while waiting or running:
         ready = [task for task in waiting if all(need in results for need in task.needs)]
-        for task in ready[: at_once - len(running)]:
+        for task in ready if at_once is None else ready[: at_once - len(running)]:
             waiting.remove(task)
+            if at_once is not None:
+                show(len(results) - before, f"begins {describe_task(task)}")
             running[executor.submit(do_task, task, out, kinds)] = task
         if not running:
             break  # the remaining tasks need failed ones
@@ -210,8 +214,16 @@ def _execute(
                 failures[task] = failure
             elif result is not None:
                 results[task] = result
-            show(len(results) - before, f"{'failed: ' if failure else ''}{describe_task(task)}")
+            show(len(results) - before, _ended(task, result, [*waiting, *running.values()], results))
     return failures
+
+
+def _ended(task: Task, result: Result | None, left: Sequence[Task], results: Results) -> str:
+    """That a task ended or, without a result, failed, and what is left."""
+    if result is None:
+        return f"failed: {describe_task(task)}"
+    left_s = time_to_do(left, results)
+    return f"took {result.seconds:.0f} s: {describe_task(task)}{'; ' if left_s else ''}{left_s}"
 
 
 def _exception_of(failures: Mapping[Task, _Failure]) -> Exception:

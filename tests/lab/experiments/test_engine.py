@@ -140,16 +140,18 @@ def test_progress_counts_what_is_left_to_do(tmp_path: Path, log: Path) -> None:
         def __init__(self) -> None:
             self.lines: list[tuple[int, str]] = []
 
-        def task(self, name: str, total: int | None) -> Any:
-            self.name, self.total = name, total
+        def task(self, name: str, total: int | None, alike: bool = True) -> Any:
+            self.name, self.total, self.alike = name, total, alike
             return nullcontext(lambda done, remark="": self.lines.append((done, remark)))
 
     do([number(log, 1)], tmp_path)
     progress = Recorded()
     carry_out([number(log, 1), number(log, 2)], tmp_path, progress, 1, None, KINDS)
-    assert progress.name == "tasks (1 more were done before)" and progress.total == 1
-    (line,) = progress.lines
-    assert line[0] == 1 and "add-" in line[1]
+    assert progress.name == "tasks (1 more were done before)" and progress.total == 1 and not progress.alike
+    begun, begins, ended = progress.lines
+    assert begun == (0, "to do: add 1; about 0 s of one core left")
+    assert begins == (0, f"begins {describe_task(number(log, 2))}")
+    assert ended == (1, f"took 0 s: {describe_task(number(log, 2))}")
 
 
 @pytest.mark.slow

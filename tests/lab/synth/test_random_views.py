@@ -32,7 +32,7 @@ class RecordedProgress(NoProgress):
         self.steps: list[int] = []
 
     @contextmanager
-    def task(self, name: str, total: int | None) -> Iterator[Step]:
+    def task(self, name: str, total: int | None, alike: bool = True) -> Iterator[Step]:
         yield lambda done, remark="": self.steps.append(done)
 
 

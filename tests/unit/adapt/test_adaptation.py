@@ -134,7 +134,7 @@ def test_expected_stages_are_those_of_an_adaptation(
     stages: list[str] = []
 
     class Names:
-        def task(self, name: str, total: int | None) -> AbstractContextManager[Step]:
+        def task(self, name: str, total: int | None, alike: bool = True) -> AbstractContextManager[Step]:
             stages.append(name)
             return NoProgress().task(name, total)
 
