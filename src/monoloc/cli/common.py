@@ -84,7 +84,7 @@ FixPosesOption = Annotated[
         "--fix-poses",
         metavar="NAME[,NAME]",
         help="What the poses are, if not camera-to-world with OpenCV's axes in metres: opengl, world-to-camera, "
-        "w-first, robot, left-handed, millimetres, late:FRAMES and others.",
+        "w-first, robot, left-handed, millimetres, late:FRAMES, late:0.2s and others.",
     ),
 ]
 FixDepthOption = Annotated[

@@ -14,6 +14,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray
 from monoloc.io import seven_scenes
 from monoloc.io.images import ImageRecording
+from monoloc.io.pose_delay import poses_after
 from monoloc.io.pose_fixes import PoseFixes, parse_pose_fixes
 from monoloc.io.recording import Recording, Selection, recorded_down, scale_sd_of
 from monoloc.io.registration import DepthRegistration
@@ -147,13 +148,27 @@ def given_depth_fix(recording: Recording) -> str | None:
 def _with_pose_fixes(recording: Recording, fixes: PoseFixes, pose_fix: str) -> Recording:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses to fix", "leave out --fix-poses")
-    rows = np.arange(len(recording)) + fixes.late_frames
-    frames = np.flatnonzero((rows >= 0) & (rows < len(recording)))
+    known, poses = _at_their_frames(fixes.convert(recording.poses), recording.timestamps_s, fixes)
+    frames = np.flatnonzero(known)
     if len(frames) == 0:
-        problem = f"has {len(recording)} frames, and poses off by {fixes.late_frames} leave none"
-        raise DataError(recording.name, problem, "give fewer frames in --fix-poses")
-    poses = fixes.convert(recording.poses[rows[frames]])
-    return _Converted(Selection(recording, frames), poses, None, pose_fix=pose_fix)
+        by = [f"{fixes.late_frames}"] * (fixes.late_frames != 0) + [f"{fixes.late_s:g} s"] * (fixes.late_s != 0.0)
+        problem = f"has {len(recording)} frames, and poses off by {' and '.join(by)} leave none"
+        fewer = "fewer frames" if fixes.late_s == 0.0 else "less"
+        raise DataError(recording.name, problem, f"give {fewer} in --fix-poses")
+    return _Converted(Selection(recording, frames), poses[frames], None, pose_fix=pose_fix)
+
+
+def _at_their_frames(
+    poses: FloatArray, times_s: FloatArray, fixes: PoseFixes
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Whether a frame's pose is stored at all, (N,), and the pose (N, 4, 4), of poses that are late or early."""
+    rows = np.arange(len(poses)) + fixes.late_frames
+    known = (rows >= 0) & (rows < len(poses))
+    rows = rows.clip(0, len(poses) - 1)
+    if fixes.late_s == 0.0:
+        return known, poses[rows]
+    between, moved = poses_after(poses, times_s, rows, fixes.late_s)
+    return known & between, moved
 
 
 def with_depth_fix(recording: Recording, name: str) -> Recording:

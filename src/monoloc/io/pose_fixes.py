@@ -87,8 +87,12 @@ UNITS = {
 }
 CONVENTIONS = QUATERNIONS | DIRECTIONS | AXES | UNITS
 
-_WITH_NUMBER = re.compile(r"(scaled|late|early):(\d+(?:\.\d+)?(?:e-?\d+)?)")
-_FIX = f"names are {', '.join(CONVENTIONS)}, scaled:FACTOR, late:FRAMES and early:FRAMES, with commas between them"
+_WITH_NUMBER = re.compile(r"(?:(scaled)|(late|early)):(\d+(?:\.\d+)?(?:e-?\d+)?)(s?)")
+_FIX = (
+    f"names are {', '.join(CONVENTIONS)}, scaled:FACTOR, late:FRAMES and early:FRAMES, or in seconds as late:0.2s, "
+    "with commas between them"
+)
+_MOST_LATE_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -98,10 +102,12 @@ class PoseFixes:
     Attributes:
         convert: (N, 4, 4) as stored -> ``T_world_camera``.
         late_frames: a frame's pose is stored so many frames after it; negative if before it.
+        late_s: and so many seconds after it, between the poses of two frames.
     """
 
     convert: PoseFix
     late_frames: int = 0
+    late_s: float = 0.0
 
 
 def parse_pose_fixes(text: str) -> PoseFixes:
@@ -111,21 +117,39 @@ def parse_pose_fixes(text: str) -> PoseFixes:
         SettingError: a name is unknown, or its number is not usable.
     """
     steps: list[PoseFix] = []
-    late = 0
-    for name in text.split(","):
-        numbered = _WITH_NUMBER.fullmatch(name.strip())
-        if name.strip() in CONVENTIONS:
-            steps.append(CONVENTIONS[name.strip()].convert)
-        elif numbered and numbered[1] == "scaled" and float(numbered[2]) > 0.0:
-            steps.append(_scaled(float(numbered[2])))
-        elif numbered and numbered[1] != "scaled" and float(numbered[2]).is_integer():
-            late += int(float(numbered[2])) * (1 if numbered[1] == "late" else -1)
+    late, late_s = 0, 0.0
+    for name in map(str.strip, text.split(",")):
+        numbered = _WITH_NUMBER.fullmatch(name)
+        if name in CONVENTIONS:
+            steps.append(CONVENTIONS[name].convert)
+        elif numbered is None or not _is_usable(numbered):
+            raise SettingError("fix_poses", f"is {text!r}, and {name!r} is no fix", _FIX)
+        elif numbered[1]:
+            steps.append(_scaled(float(numbered[3])))
         else:
-            raise SettingError("fix_poses", f"is {text!r}, and {name.strip()!r} is no fix", _FIX)
+            frames, seconds = _delay(numbered)
+            late, late_s = late + frames, late_s + seconds
+    if abs(late_s) > _MOST_LATE_S:
+        problem = f"is {text!r}, and no poses are {abs(late_s):g} s {'late' if late_s > 0.0 else 'early'}"
+        raise SettingError("fix_poses", problem, f"give at most {_MOST_LATE_S:g} s")
 
     def convert(poses: FloatArray) -> FloatArray:
         for step in steps:
             poses = step(poses)
         return poses
 
-    return PoseFixes(convert, late)
+    return PoseFixes(convert, late, late_s)
+
+
+def _is_usable(numbered: re.Match[str]) -> bool:
+    """Whether a number is a positive factor or time, or whole frames."""
+    value, is_time = float(numbered[3]), bool(numbered[4])
+    if numbered[1]:
+        return value > 0.0 and not is_time
+    return value > 0.0 if is_time else value.is_integer()
+
+
+def _delay(numbered: re.Match[str]) -> tuple[int, float]:
+    """Frames and seconds by which poses are late; negative if they are early."""
+    value = float(numbered[3]) * (1.0 if numbered[2] == "late" else -1.0)
+    return (0, value) if numbered[4] else (int(value), 0.0)

@@ -7,10 +7,11 @@ import pytest
 
 from altered_recordings import POSES, Altered
 from monoloc.errors import DataError
+from monoloc.geometry import se3_exp
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.pose_fixes import CONVENTIONS, parse_pose_fixes
 from refusals import refuses, refuses_setting
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+from synthetic_room import FRAME_RATE_HZ, SMALL_CAMERA, Room, RoomRecording, make_path
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +52,38 @@ def test_turned_depth_is_turned_back(recording: RoomRecording) -> None:
     np.testing.assert_array_equal(fixed.depth(1)[::-1, ::-1], recording.depth(1))
 
 
-@pytest.mark.parametrize("text", ["opengl,sideways", "late:1.5", "scaled:0", "late:", ""])
+def test_poses_late_by_a_time_move_between_frames() -> None:
+    """At constant speed and turn, in which interpolation is exact."""
+    rate_hz, twist = FRAME_RATE_HZ, np.array([0.1, -0.2, 0.3, 0.4, 0.1, -0.2])
+    times_s = np.arange(6) / rate_hz
+    recording = RoomRecording(Room(), se3_exp(times_s[:, None] * twist), SMALL_CAMERA)
+    np.testing.assert_allclose(recording.timestamps_s, times_s)
+    for text, delay_s, frames in (
+        ("late:0.1s", 0.1, range(4)),
+        ("early:0.05s", -0.05, range(1, 6)),
+        ("late:1,late:0.1s", 0.1 + 1.0 / rate_hz, range(3)),
+        ("late:0.2s,early:0.1s", 0.1, range(4)),
+    ):
+        fixed = corrected(recording, Fixes(text))
+        assert fixed.frame_names == [recording.frame_names[frame] for frame in frames] and fixed.poses is not None
+        expected = se3_exp((times_s[list(frames), None] + delay_s) * twist)
+        np.testing.assert_allclose(fixed.poses, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["late:0.2s,early:30s", "late:11s"])
+def test_delays_that_no_poses_have_are_refused(text: str) -> None:
+    refuses_setting(
+        lambda: parse_pose_fixes(text), "fix_poses", "no poses are .* s (late|early)", "give at most 10 s"
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["opengl,sideways", "late:1.5", "scaled:0", "late:", "", "late:0s", "late:-1s", "late:nans", "scaled:2s"]
+)
 def test_unknown_fixes_are_refused(text: str) -> None:
-    refuses_setting(lambda: parse_pose_fixes(text), "fix_poses", "is no fix", "names are w-first, .* late:FRAMES")
+    refuses_setting(
+        lambda: parse_pose_fixes(text), "fix_poses", "is no fix", "names are w-first, .* late:FRAMES.* late:0.2s"
+    )
 
 
 def test_useless_fixes_are_refused(recording: RoomRecording) -> None:
@@ -63,6 +93,7 @@ def test_useless_fixes_are_refused(recording: RoomRecording) -> None:
     without.poses = None
     refuses(lambda: corrected(without, Fixes("opengl")), DataError, "has no poses to fix; leave out --fix-poses")
     refuses(lambda: corrected(recording, Fixes("late:9")), DataError, "poses off by 9 leave none; give fewer")
+    refuses(lambda: corrected(recording, Fixes("late:9s")), DataError, "poses off by 9 s leave none; give less in")
     refuses(
         lambda: corrected(recording, Fixes(depth="registered")), DataError, "not in the layout of 7-Scenes.*; leave"
     )

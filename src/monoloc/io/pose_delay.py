@@ -1,0 +1,30 @@
+"""Poses of a recording at other times than those of its frames, as where they are stored late."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray
+from monoloc.io.pose_files import interpolate_poses
+
+_GAP_FRAMES, _GAP_S = 3.0, 0.5  # between two frames; beyond both, nobody knows what the camera did
+
+
+def poses_after(
+    poses: FloatArray, times_s: FloatArray, rows: NDArray[np.int64], delay_s: float
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """The poses that are stored some time after frames, interpolated on SE(3) between those of two frames.
+
+    Args:
+        poses: (N, 4, 4), of all frames.
+        times_s: (N,) of the frames, increasing.
+        rows: (Q,) frames that are asked for.
+        delay_s: time after them; negative for before.
+
+    Returns:
+        Whether there are poses on both sides, not far apart, (Q,), and the pose (Q, 4, 4), arbitrary where there are
+        not.
+    """
+    usual_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    return interpolate_poses(times_s[rows] + delay_s, times_s, poses, max(_GAP_S, _GAP_FRAMES * usual_s))
