@@ -17,13 +17,16 @@ from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
 from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.io.corrected import Fixes, corrected
+from monoloc.io.pose_files import interpolate_poses
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.recording_check.correspondences import Matches, match_corners
 from monoloc.recording_check.depth_check import check_depth
+from monoloc.recording_check.evidence import Evidence
+from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.lens_check import check_factors
-from monoloc.recording_check.pose_check import check_poses, compare_poses, require_agreement
+from monoloc.recording_check.pose_check import check_matches, check_poses, compare_poses, require_agreement
 
 KITCHEN, DESK = "7scenes/redkitchen", "office-desk"
 PARTS = ((KITCHEN, "0:300:3"), (KITCHEN, "::4"), (DESK, "0:350:7"), (DESK, "0:350:2"))
@@ -65,7 +68,8 @@ def test_right_recordings_are_not_doubted(
     data_root: Path, capfd: pytest.CaptureFixture[str], folder: str, frames: str
 ) -> None:
     recording = opened(data_root, folder, frames)
-    check = check_poses(recording)
+    check, evidence = compare_poses(recording, None)
+    assert evidence is not None and small_delay(evidence) is None
     assert check.verdict == "agree" and require_agreement("walk", check, poses_are_refined=False) == []
     depth = check_depth(recording)
     assert depth.problem is None, depth
@@ -86,6 +90,32 @@ def test_poses_of_another_convention_are_named(room: tuple[Recording, Matches], 
     assert recording.poses is not None
     check = checked(Altered(recording, poses=POSES[name].poses(recording.poses)), matches)
     assert re.fullmatch(f".* as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
+
+
+@pytest.mark.parametrize("delay_s", [0.05, -0.05, 0.1, pytest.param(-0.1, marks=pytest.mark.slow), 0.2])
+def test_delays_are_found_to_a_fiftieth_of_a_second(room: tuple[Recording, Matches], delay_s: float) -> None:
+    """Poses of a time before their frames, between those of two; small ones are a warning."""
+    selected, matches = room
+    assert isinstance(selected, Selection) and selected.source.poses is not None
+    source, times_s = selected.source, selected.source.timestamps_s
+    _, poses = interpolate_poses(times_s - delay_s, times_s, selected.source.poses, np.inf)
+    evidence = Evidence(Selection(Altered(source, poses=poses), selected.positions), matches, None)
+    explanation, small = check_matches(evidence).explanation, small_delay(evidence)
+    option = explanation.option if explanation is not None else "" if small is None else small[1]
+    found = re.fullmatch(r"--fix-poses (late|early):([\d.]+)(s?)", option)
+    assert found, option
+    found_s = float(found[2]) * (1.0 if found[3] else evidence.frame_interval_s)
+    assert found_s * (1.0 if found[1] == "late" else -1.0) == pytest.approx(delay_s, abs=0.02)
+
+
+@pytest.mark.parametrize("noise_m", [0.01, pytest.param(0.02, marks=pytest.mark.slow), 0.03])
+def test_noisy_poses_are_told_no_delay(room: tuple[Recording, Matches], noise_m: float) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    poses = recording.poses.copy()
+    poses[:, :3, 3] += noise_m * np.random.default_rng(0).normal(size=(len(poses), 3))
+    evidence = Evidence(Altered(recording, poses=poses), matches, None)
+    assert small_delay(evidence) is None and check_matches(evidence).explanation is None
 
 
 @pytest.mark.slow  # tests/unit/recording_check/test_pose_check.py has it in a synthetic room

@@ -80,7 +80,11 @@ def late(poses: FloatArray, frames: int) -> FloatArray:
 
 def turning_path(count: int, rate_hz: float = 15.0) -> FloatArray:
     """Poses that move and turn about all axes, so that no two conventions agree."""
-    t = np.arange(count) / rate_hz
+    return turning_path_at(np.arange(count) / rate_hz)
+
+
+def turning_path_at(t: FloatArray) -> FloatArray:
+    """Poses of that path at times (N,), seconds."""
     positions = np.stack([1.2 * np.sin(0.8 * t), 0.5 * np.sin(1.1 * t), 0.8 * np.cos(0.9 * t) - 0.6], axis=1)
     turns = np.stack([0.2 * np.sin(1.9 * t), 0.4 * np.sin(1.3 * t + 0.3), 0.3 * np.sin(2.3 * t)], axis=1)
     return make_pose(so3_exp(turns), positions)

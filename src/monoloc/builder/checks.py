@@ -23,6 +23,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_between_frames import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
+from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.lens_check import intrinsics_warnings
 from monoloc.recording_check.pose_check import REFINE, compare_poses, require_agreement
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
@@ -103,7 +104,10 @@ def check_recording(
         step(1)
         # A wrong focal length or convention also bends planes and shifts edges: poses have the first word.
         warnings += require_agreement(recording.name, check, config.refine_poses, if_poor)
-        warnings += intrinsics_warnings(evidence if check.verdict == "agree" else None, recording.camera)
+        agreeing = evidence if check.verdict == "agree" else None
+        delay = None if agreeing is None or config.refine_poses else small_delay(agreeing)
+        warnings += [] if delay is None else [f"{delay[0]}, by the corners; give {delay[1]}"]
+        warnings += intrinsics_warnings(agreeing, recording.camera)
         step(2)
         if recording.has_depth:
             warnings += require_registered_z(recording.name, check_depth(recording))

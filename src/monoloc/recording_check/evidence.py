@@ -17,6 +17,7 @@ from monoloc.io.corrected import (
     without_depth_fix,
     without_pose_fix,
 )
+from monoloc.io.pose_delay import poses_after
 from monoloc.io.pose_fixes import CONVENTIONS
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
@@ -102,14 +103,33 @@ class Evidence:
 
         Frames are those of the recording that the selection is from: poses are late by a time.
         """
-        poses, rows = self.poses, self.matches.frames
-        if isinstance(self.recording, Selection) and self.recording.source.poses is not None:
-            poses, rows = self.recording.source.poses, self.recording.positions[rows]
+        poses, _, rows = self._of_source()
         rows = rows + frames
         inside = ((rows >= 0) & (rows < len(poses))).all(axis=1)
         relative = np.full((len(rows), 4, 4), np.nan)
         relative[inside] = relative_poses(poses, rows[inside])
         return relative
+
+    def relative_after(self, delay_s: float) -> FloatArray:
+        """As :meth:`relative_late`, with each pose taken from so many seconds later, between those of frames."""
+        poses, times_s, rows = self._of_source()
+        known, moved = poses_after(poses, times_s, rows.ravel(), delay_s)
+        relative = relative_poses(moved, np.arange(rows.size).reshape(rows.shape))
+        relative[~known.reshape(rows.shape).all(axis=1)] = np.nan
+        return relative
+
+    @property
+    def frame_interval_s(self) -> float:
+        """Usual time between two frames."""
+        _, times_s, _ = self._of_source()
+        return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+
+    def _of_source(self) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+        """Poses and times of all frames that the recording was selected from, and the pairs among these."""
+        recording, rows = self.recording, self.matches.frames
+        if isinstance(recording, Selection) and recording.source.poses is not None:
+            return recording.source.poses, recording.source.timestamps_s, recording.positions[rows]
+        return self.poses, recording.timestamps_s, rows
 
 
 def gather_evidence(recording: Recording, cloud: FloatArray | None, pairs: int = PAIRS) -> Evidence:

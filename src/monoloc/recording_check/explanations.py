@@ -16,6 +16,7 @@ from monoloc.io.stray_scanner import StrayScannerRecording
 from monoloc.io.upright import Turned
 from monoloc.recording_check.evidence import Evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
+from monoloc.recording_check.pose_delay import find_small_delay, fit_delay
 from monoloc.recording_check.pose_hypotheses import Hypothesis, as_stated, conventions, delays
 from monoloc.recording_check.wide_pairs import match_wide
 
@@ -65,7 +66,9 @@ def explain(evidence: Evidence, share: float) -> Explanation | None:
     """The simplest of the best explanations; None if none brings the error down to that of a right recording."""
     evidence = evidence.for_search()
     readings = other_readings(evidence)
-    exact = [*_without_fix(evidence), *_exact(evidence), *(_by_reading(reading) for reading in readings)]
+    others = (_by_reading(reading) for reading in readings)
+    timed = list(_late_by_a_time(evidence))
+    exact = [*_without_fix(evidence), *_exact(evidence, whole_frames=not timed), *timed, *others]
     plain = _best(exact, _CLEAR * share)
     if plain is not None:
         return plain
@@ -96,10 +99,29 @@ def _best(explanations: list[Explanation], most: float) -> Explanation | None:
     return min((each for each in fitting if each.share <= equal), key=lambda each: (each.parts, each.share))
 
 
-def _exact(evidence: Evidence) -> Iterator[Explanation]:
-    """Explanations without unknown numbers, by one reading of the depth."""
-    for hypothesis in (*conventions(), *(delays() if evidence.recording.has_depth else ())):
+def _exact(evidence: Evidence, whole_frames: bool = True) -> Iterator[Explanation]:
+    """Explanations without unknown numbers, by one reading of the depth, with or without delays."""
+    with_delays = whole_frames and evidence.recording.has_depth
+    for hypothesis in (*conventions(), *(delays() if with_delays else ())):
         yield _by_hypothesis(evidence, hypothesis)
+
+
+def small_delay(evidence: Evidence) -> tuple[str, str] | None:
+    """By how much poses that agree are late even so, and the option that undoes it; None if they are not."""
+    delay = find_small_delay(evidence)
+    return None if delay is None else _joined(evidence, delay.what, delay.option)
+
+
+def _late_by_a_time(evidence: Evidence) -> Iterator[Explanation]:
+    """A delay that is no whole number of frames, if there is one.
+
+    The nearest whole number may fit as well: interpolated poses lose something of an uneven motion.
+    """
+    delay = fit_delay(evidence, is_small=False)
+    if delay is None or delay.is_whole(evidence.frame_interval_s):
+        return
+    if delay.is_certain and delay.fit.median <= _FITS:
+        yield Explanation(*_joined(evidence, delay.what, delay.option), 1, delay.fit.median)
 
 
 def _by_hypothesis(evidence: Evidence, hypothesis: Hypothesis) -> Explanation:

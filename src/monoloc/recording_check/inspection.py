@@ -17,6 +17,7 @@ from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_between_frames import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.evidence import Evidence
+from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
 from monoloc.recording_check.lens_check import FOCAL_SDS, camera_doubts, check_factors
 from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
@@ -117,7 +118,9 @@ def inspect_recording(
         compared, evidence = compare_poses(recording, cloud)
         poses = None if evidence is None else compared
         step(3)
-        factors = [] if evidence is None or compared.verdict != "agree" else check_factors(evidence)
+        agreeing = evidence if compared.verdict == "agree" else None
+        factors = [] if agreeing is None else check_factors(agreeing)
+        delay = None if agreeing is None else small_delay(agreeing)
         step(4)
         agreement = None if bundle is None else compare_with_map(bundle, recording)
         step(5)
@@ -132,6 +135,7 @@ def inspect_recording(
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *(() if is_explained else _of_disagreement(recording)),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
+        *(() if delay is None else (Finding("pose times", "warning", delay[0], f"give {delay[1]}"),)),
         *(Finding(of.name, "warning" if of.remark else "good", of.value, of.remark) for of in factors),
         *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
     ]

@@ -9,19 +9,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from altered_recordings import POSES, Altered, checked, late, range_of, refusal, turning_path, upside_down, with_focal
+from altered_recordings import (
+    POSES,
+    Altered,
+    checked,
+    late,
+    range_of,
+    refusal,
+    turning_path,
+    turning_path_at,
+    upside_down,
+    with_focal,
+)
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.checks import check_recording
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.geometry import make_pose, se3_exp, so3_exp
+from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.pose_fixes import parse_pose_fixes
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording
 from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.evidence import Evidence
+from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.inspection import inspect_recording
-from monoloc.recording_check.pose_check import check_poses, compare_poses, require_agreement
+from monoloc.recording_check.pose_check import check_matches, check_poses, compare_poses, require_agreement
 from monoloc_lab.rooms import BUILD, TESTS
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+from synthetic_room import FRAME_RATE_HZ, SMALL_CAMERA, Room, RoomRecording, make_path
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +64,68 @@ def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, 
         np.testing.assert_allclose(fixes.convert(altered), recording.poses, atol=1e-6)
 
 
-@pytest.mark.parametrize("given", ["opengl", "world-to-camera", "left-handed", "millimetres", "w-first", "late:4"])
+def late_by(delay_s: float) -> FloatArray:
+    """Poses of the room's path, each that of a time before its frame."""
+    frames = np.arange(60) / FRAME_RATE_HZ - delay_s
+    return turning_path_at(frames)
+
+
+@pytest.mark.parametrize(("delay_s", "word"), [(0.1, "late"), (-0.1, "early"), (0.17, "late"), (-0.3, "early")])
+def test_poses_late_by_no_whole_number_of_frames_are_named_in_seconds(
+    room: tuple[Recording, Matches], delay_s: float, word: str
+) -> None:
+    recording, matches = room
+    altered = Altered(recording, poses=late_by(delay_s))
+    line = refusal(checked(altered, matches))
+    found = re.fullmatch(rf".*% as poses {word} by ([\d.]+) s; give --fix-poses {word}:([\d.]+)s", line)
+    assert found and found[1] == found[2], line
+    assert float(found[1]) == pytest.approx(abs(delay_s), abs=0.02)
+    fixed = check_poses(corrected(altered, Fixes(poses=f"{word}:{found[1]}s")))
+    assert fixed.verdict == "agree" and fixed.share is not None and fixed.share < 0.12
+
+
+def test_a_delay_that_remains_is_named_after_the_fix_that_was_given(room: tuple[Recording, Matches]) -> None:
+    altered = Altered(room[0], poses=late_by(0.3))
+    line = refusal(check_poses(corrected(altered, Fixes(poses="late:3"))))
+    found = re.fullmatch(r".* give --fix-poses late:3,late:(0\.\d\d)s", line)
+    assert found and float(found[1]) == pytest.approx(0.1, abs=0.02), line
+
+
+def test_poses_that_agree_although_they_are_late_give_a_warning(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    for delay_s, word in ((0.04, "late"), (-0.04, "early")):
+        evidence = Evidence(Altered(recording, poses=late_by(delay_s)), matches, None)
+        assert check_matches(evidence).verdict == "agree"
+        found = small_delay(evidence)
+        assert found is not None
+        named = re.fullmatch(rf"--fix-poses {word}:(0\.\d\d)s", found[1])
+        assert named and float(named[1]) == pytest.approx(0.04, abs=0.015)
+        assert found[0] == f"poses {word} by {named[1]} s"
+
+
+def test_check_and_build_warn_of_a_small_delay(room: tuple[Recording, Matches]) -> None:
+    altered = Altered(room[0], poses=late_by(0.04))
+    (found,) = [finding for finding in inspect_recording(altered).findings if finding.name == "pose times"]
+    assert found.level == "warning"
+    assert re.fullmatch(r"poses late by 0\.0\d s", found.value)
+    assert re.fullmatch(r"give --fix-poses late:0\.0\ds", found.remark)
+    assert f"{found.value}, by the corners; {found.remark}" in check_recording(altered, None, BuildConfig())
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+def test_right_poses_are_told_no_delay(room: tuple[Recording, Matches], noise_m: float) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    poses = recording.poses.copy()
+    poses[:, :3, 3] += noise_m * np.random.default_rng(0).normal(size=(len(poses), 3))
+    evidence = Evidence(Altered(recording, poses=poses), matches, None)
+    explanation = check_matches(evidence).explanation
+    assert small_delay(evidence) is None and explanation is None
+
+
+@pytest.mark.parametrize(
+    "given", ["opengl", "world-to-camera", "left-handed", "millimetres", "w-first", "late:4", "late:0.3s"]
+)
 def test_a_fix_that_a_right_recording_did_not_need_is_to_be_left_out(
     room: tuple[Recording, Matches], given: str
 ) -> None:
