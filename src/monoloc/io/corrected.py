@@ -14,8 +14,8 @@ from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray
 from monoloc.io import seven_scenes
 from monoloc.io.images import ImageRecording
-from monoloc.io.pose_delay import poses_after
 from monoloc.io.pose_fixes import PoseFixes, parse_pose_fixes
+from monoloc.io.poses_between_frames import poses_after
 from monoloc.io.recording import Recording, Selection, recorded_down, scale_sd_of
 from monoloc.io.registration import DepthRegistration
 from monoloc.io.upright import Turned

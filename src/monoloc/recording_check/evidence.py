@@ -17,8 +17,8 @@ from monoloc.io.corrected import (
     without_depth_fix,
     without_pose_fix,
 )
-from monoloc.io.pose_delay import poses_after
 from monoloc.io.pose_fixes import CONVENTIONS
+from monoloc.io.poses_between_frames import poses_after
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
 from monoloc.map.cloud import voxel_thin
