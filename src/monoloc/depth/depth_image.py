@@ -70,7 +70,7 @@ def sample_depth(
 
 
 def where_known(depth_m: NDArray[np.float32], depth_camera: Camera, camera: Camera) -> NDArray[np.bool_]:
-    """Where a camera's image (H, W) has depth, as far as a depth image (h, w) of the same field of view tells."""
+    """Where a camera's image (H, W) has depth, as far as a depth image (h, w) of the same field of view shows it."""
     shape = camera.height, camera.width
     if depth_m.all() or not _is_resized(camera, depth_camera):
         return np.ones(shape, dtype=np.bool_)

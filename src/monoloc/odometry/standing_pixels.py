@@ -104,8 +104,8 @@ class StandingPixels:
             color: (H, W, 3) uint8 RGB, of the camera.
             motion: since the previous frame; None where it is unknown.
             depth: of the frame; without it, only the motion is taken in.
-            landmark_pose: ``T_world_camera``, (4, 4), by the landmarks in the image, or None. It tells the motion
-                where odometry does not, as where most corners stand still.
+            landmark_pose: ``T_world_camera``, (4, 4), by the landmarks in the image, or None. Between two of them,
+                it gives the motion where odometry shows none, as where most corners stand still.
         """
         self.has_grown = False
         last = self._last = None if self._last is None else self._last.moved(motion)
@@ -114,7 +114,7 @@ class StandingPixels:
         motions = [] if last is None else last.motions_to(landmark_pose)
         sources_px = [self._source_px(T_compared_current, depth) for T_compared_current in motions]
         is_far = [self._is_far(each) for each in sources_px]
-        # Where landmarks say that the camera stands, odometry follows somebody who walks past.
+        # Where landmark poses show that the camera stands still, odometry follows somebody who walks past.
         if motions and not is_far[-1]:
             return
         gray = self._relative(color)
