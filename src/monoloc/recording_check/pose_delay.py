@@ -1,7 +1,7 @@
 """By how much time the poses of a recording are late, which need not be a whole number of frames.
 
 A delay shows where the motion changes: poses of a camera that moves evenly fit at any time. The misfit of the
-corners alone does not determine it well, since interpolated poses have less noise than those of frames and fit better at
+corners alone does not determine it well: interpolated poses have less noise than those of frames, and fit better at
 half a frame for that reason. So the delay is the one that explains where the corners are, and in which direction: a
 regression of their errors on what a delay would move, to which noise of the poses adds nothing on average.
 """
