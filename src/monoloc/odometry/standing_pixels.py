@@ -112,7 +112,8 @@ class StandingPixels:
         if depth is None:
             return
         motions = [] if last is None else last.motions_to(landmark_pose)
-        sources_px = [self._source_px(T_compared_current, depth) for T_compared_current in motions]
+        points = self._points(depth) if motions else np.zeros((0, 3))
+        sources_px = [self._source_px(T_compared_current, points) for T_compared_current in motions]
         is_far = [self._is_far(each) for each in sources_px]
         # Where landmark poses show that the camera stands still, odometry follows somebody who walks past.
         if motions and not is_far[-1]:
@@ -144,12 +145,16 @@ class StandingPixels:
         light = cv2.blur(gray, (_LIGHT_PX, _LIGHT_PX))
         return np.asarray(_MEAN * gray / np.maximum(light, _DARK), dtype=np.float32)
 
-    def _source_px(self, T_compared_current: FloatArray, depth: DepthPrediction) -> FloatArray:
-        """Where the compared image showed what the grid shows of the room, (N, 2); far outside if nowhere."""
+    def _points(self, depth: DepthPrediction) -> FloatArray:
+        """What the grid shows of the room, (N, 3), in the camera's frame."""
         depth_m = sample_depth(self._grid_px, self._camera, depth.depth_m, depth.camera, _NO_JUMP)
         is_known = depth_m > 0.0
         depth_m = np.where(is_known, depth_m, np.median(depth_m[is_known]) if is_known.any() else 1.0)
-        local = transform(T_compared_current, self._rays * depth_m[:, None])
+        return np.asarray(self._rays * depth_m[:, None])
+
+    def _source_px(self, T_compared_current: FloatArray, points: FloatArray) -> FloatArray:
+        """Where the compared image showed points (N, 3), (N, 2); far outside if nowhere."""
+        local = transform(T_compared_current, points)
         return np.where(self._camera.in_sight(local)[:, None], self._camera.project(local), -1e4)
 
     def _is_far(self, source_px: FloatArray) -> bool:
