@@ -6,19 +6,20 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.component_checks import check_measured, checked_depth, checked_motion
 from monoloc.components import Components
 from monoloc.contrast import has_contrast
 from monoloc.depth.predictor import DepthPrediction
-from monoloc.geometry import FloatArray, is_rigid
+from monoloc.geometry import FloatArray
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.motion import FollowingOdometry, Motion, Translation, chained, tracks_translation
+from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.odometry.standing_image import StandingImage
 from monoloc.odometry.standing_pixels import StandingPixels
@@ -33,7 +34,6 @@ MOST_ELAPSED_S = 1e12
 """Between two frames. A clock that is set from 1970 jumps by less, and nanoseconds read as seconds mostly do too."""
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
-_MOST_SPEED_M_S, _LEAST_MOVED_S = 50.0, 0.05  # of a camera, and the time up to which its stamps may be off
 
 
 @dataclass(frozen=True)
@@ -151,13 +151,13 @@ class FrontEnd:
         """
         self._check_image(color)
         if measured_depth is not None:
-            _checked_depth(measured_depth, "measured_depth")
+            checked_depth(measured_depth, "measured_depth")
         elapsed_s = 0.0 if self._is_first else elapsed_s
         is_number = np.ndim(elapsed_s) == 0 and np.asarray(elapsed_s).dtype.kind in "fiu"
         if not (is_number and 0.0 <= elapsed_s <= MOST_ELAPSED_S):
             raise ValueError(f"elapsed_s must be a number from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s!r}")
         if measured_motion is not None:
-            _check_measured(_checked_motion(measured_motion, "measured_motion"), elapsed_s)
+            check_measured(checked_motion(measured_motion, "measured_motion"), elapsed_s)
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
         has_depth = plan is None or plan.has_depth
         is_predicted = measured_depth is None and has_depth
@@ -218,7 +218,7 @@ class FrontEnd:
         def wait() -> DepthPrediction:
             with self._stage("depth"):
                 depth = depth_of()
-            return _checked_depth(depth, "the result of Components.depth")
+            return checked_depth(depth, "the result of Components.depth")
 
         return wait
 
@@ -241,7 +241,7 @@ class FrontEnd:
             self._depth_camera = camera
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:
-            _checked_motion(odometry, "the result of Components.odometry")
+            checked_motion(odometry, "the result of Components.odometry")
         stood_s = self._standing_image.update(odometry, measured, elapsed_s)
         motion = measured if stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
         return motion, stood_s
@@ -276,40 +276,3 @@ class FrontEnd:
 
     def _scan(self, depth: DepthPrediction, count: int) -> Scan:
         return scan_from_depth(depth, count, self._rng, self._config.likelihood.error_power)
-
-
-# A component or a sensor of a user's own may return anything, whatever the types say.
-def _checked_depth(depth: object, what: str) -> DepthPrediction:
-    if not isinstance(depth, DepthPrediction):
-        fix = (
-            "make it by DepthPrediction(depth_m, camera), or of a sensor's image by monoloc.sensor_depth.sparse_depth"
-        )
-        raise TypeError(f"{what} must be a DepthPrediction, got {type(depth).__name__}; {fix}")
-    return depth
-
-
-def _checked_motion(motion: object, what: str) -> Motion:
-    if not isinstance(motion, Motion):
-        raise TypeError(f"{what} must be a Motion or None, got {type(motion).__name__}")
-    T, covariance = motion.T_previous_current, motion.view_covariance
-    if np.shape(T) != (4, 4) or not is_rigid(T):
-        raise ValueError(f"{what} must have a rigid T_previous_current, (4, 4)")
-    if covariance is not None and not (np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()):
-        raise ValueError(f"{what} must have a finite view_covariance, (6, 6)")
-    if motion.translation not in get_args(Translation):
-        raise ValueError(f"{what} has translation {motion.translation!r}; it must be scaled, metric or unknown")
-    if np.shape(motion.points) != (len(motion.log_depth_sd), 3):
-        shapes = f"{np.shape(motion.points)} and {np.shape(motion.log_depth_sd)}"
-        raise ValueError(f"{what} must have points (N, 3) and log_depth_sd (N,), got {shapes}")
-    for sd in (motion.translation_sd_m, motion.rotation_sd_rad):
-        if sd is not None and not 0.0 < sd < np.inf:
-            raise ValueError(f"{what} must have positive and finite standard deviations, got {sd}")
-    return motion
-
-
-def _check_measured(motion: Motion, elapsed_s: float) -> None:
-    if motion.rotation_sd_rad is None:
-        raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")
-    moved_m = float(np.linalg.norm(motion.T_previous_current[:3, 3]))
-    if elapsed_s > 0.0 and moved_m > _MOST_SPEED_M_S * max(elapsed_s, _LEAST_MOVED_S):
-        raise ValueError(f"measured_motion moves by {moved_m:.3g} m in {elapsed_s:.3g} s; give metres")

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
-from monoloc.components import Components, ComponentsFactory, default_components
+from monoloc.component_checks import checked_components, checked_measurement
+from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
 from monoloc.fusion.reference_poses import NEAR_M
-from monoloc.geometry import FloatArray, invert, transform
+from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks
 from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
@@ -82,7 +83,7 @@ class Localizer:
         bundle, self._config = leave_out(bundle, config or bundle.settings)
         self._bundle, self._camera = bundle, camera
         self._rng = np.random.default_rng(seed)
-        made = _checked_components(components(bundle, camera, self._config))
+        made = checked_components(components(bundle, camera, self._config))
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
         self._thresholds = bundle.thresholds
         self._gravity = Gravity(bundle.down, is_of_video=bundle.provenance.scale_sd is not None)
@@ -273,11 +274,9 @@ class Localizer:
         return self._landmarks.relocalize(observation.landmarks_seen())
 
     def _measure_landmarks(self, observation: Observation, prior: Estimate) -> LandmarkMeasurement:
-        measurement: object = self._landmarks.measure(observation.landmarks_seen(), prior.pose, prior.covariance)
-        if not isinstance(measurement, LandmarkMeasurement):  # of a user's own
-            given = type(measurement).__name__
-            raise TypeError(f"what Components.landmarks measures must be a LandmarkMeasurement, got {given}")
-        return measurement
+        return checked_measurement(
+            self._landmarks.measure(observation.landmarks_seen(), prior.pose, prior.covariance)
+        )
 
     def _find_standing_pixels(
         self, color: NDArray[np.uint8], observation: Observation, landmark_pose: LandmarkPose | None
@@ -293,8 +292,7 @@ class Localizer:
         if landmarks is None or not self._standing_pixels.mask.any():
             return landmarks
         pose = prior.pose if landmarks.pose is None else landmarks.pose.pose
-        points = self._bundle.landmarks.points[landmarks.visible].astype(np.float64)
-        is_hidden = self._standing_pixels.stands(self._camera.project(transform(invert(pose), points)))
+        is_hidden = self._standing_pixels.hides(self._bundle.landmarks.points[landmarks.visible], pose)
         return replace(landmarks, is_shown=landmarks.is_shown & (landmarks.is_found | ~is_hidden))
 
     def _update_particles(
@@ -428,12 +426,6 @@ class Localizer:
         if landmarks is None or landmarks.pose is None or views is None:
             return None
         return views.familiar(belief.pose, landmarks.visible, landmarks.is_found, landmarks.is_shown)
-
-
-def _checked_components(made: object) -> Components:
-    if not isinstance(made, Components):
-        raise TypeError(f"components must be a function that returns Components, got {type(made).__name__} from it")
-    return made
 
 
 def _untimed(name: Stage) -> AbstractContextManager[None]:

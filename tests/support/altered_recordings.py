@@ -52,6 +52,14 @@ class Altered:
         return depth if self._depth is None else np.ascontiguousarray(self._depth(depth), dtype=np.float32)
 
 
+def with_noise(recording: Recording, noise_m: float) -> Altered:
+    """A recording whose positions have independent noise of a standard deviation."""
+    assert recording.poses is not None
+    poses = recording.poses.copy()
+    poses[:, :3, 3] += noise_m * np.random.default_rng(0).normal(size=(len(poses), 3))
+    return Altered(recording, poses=poses)
+
+
 def axes(*rows: tuple[int, int, int]) -> FloatArray:
     return make_pose(np.array(rows, dtype=np.float64), np.zeros(3))
 

@@ -23,7 +23,8 @@ from monoloc.localizer import Localizer
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.viz.picture import VERMILION
-from monoloc_lab.bench.faults import FAULTS, Surroundings
+from monoloc_lab.bench.fault_flights import with_fault
+from monoloc_lab.bench.faults import FAULTS
 from monoloc_lab.bench.judged_flight import FlightFrame, Image
 from monoloc_lab.rooms import BUILD, BUNDLE, TESTS
 
@@ -33,19 +34,19 @@ _FRAMES = (0, 45, 60)  # that are shown
 _MARK = ListedColormap([VERMILION])
 
 
-def flown(fault: str) -> Iterator[tuple[Image, Step]]:
-    """Images and steps of a flight in the rendered room of the package."""
+def flown(fault: str, frames: int) -> Iterator[tuple[Image, Step]]:
+    """Images and steps of a flight in the rendered room of the package, with one of the faults."""
     recording, build = open_recording(f"folder:{TESTS['L1']}"), open_recording(f"folder:{BUILD}")
     assert recording.poses is not None
     times_s = recording.timestamps_s.tolist()
-    frames = [
+    clean = [
         FlightFrame(partial(recording.color, index), times_s[index], recording.poses[index])
-        for index in range(_FRAMES[-1] + 1)
+        for index in range(frames)
     ]
-    around = Surroundings(frames[0], build.color, np.random.default_rng(0))
+    changed, _ = with_fault(FAULTS[fault], clean, build.color, np.random.default_rng(0))
     localizer = Localizer(read_bundle(BUNDLE), recording.camera, Start(recording.poses[0], 0.05, 0.02))
     before_s = times_s[0]
-    for frame in FAULTS[fault].change(frames, around):
+    for frame in changed:
         image = frame.image()
         yield image, localizer.step(image, frame.time_s - before_s)
         before_s = frame.time_s
@@ -53,7 +54,7 @@ def flown(fault: str) -> Iterator[tuple[Image, Step]]:
 
 def draw(figure: Figure) -> None:
     for axes, fault in zip(figure.subplots(len(_FAULTS), len(_FRAMES)), _FAULTS, strict=True):
-        steps = list(flown(fault))
+        steps = list(flown(fault, _FRAMES[-1] + 1))
         for axis, index in zip(axes, _FRAMES, strict=True):
             image, step = steps[index]
             _show(axis, f"frame {index}: {step.standing_share:.0%} stands still")

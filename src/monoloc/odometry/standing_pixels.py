@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
@@ -77,10 +77,9 @@ class StandingPixels:
     def __init__(self, camera: Camera) -> None:
         self._full, self._camera = camera, camera.of_width(min(_WIDTH, camera.width))
         grid = self._camera.of_width(min(_GRID_WIDTH, camera.width))
-        self._grid_px = _pixels(grid, self._camera).astype(np.float32)  # (N, 2)
         self._grid_shape = grid.height, grid.width
-        rays = self._camera.rays(self._grid_px)
-        self._rays = rays / rays[:, 2:]
+        self._rays = grid.pixel_rays().reshape(-1, 3)
+        self._grid_px = self._camera.project(self._rays).astype(np.float32)  # (N, 2)
         self._nats = np.zeros((self._camera.height, self._camera.width), dtype=np.float32)
         self._last: _Compared | None = None
         self._depth_places: tuple[Camera, FloatArray] | None = None  # pixels of the last depth image
@@ -130,13 +129,16 @@ class StandingPixels:
         x, y = np.clip(places, 0.0, np.array([width - 1.0, height - 1.0])).astype(np.int64).T
         return np.asarray(self.mask[y, x])
 
+    def hides(self, points: ArrayLike, pose: FloatArray) -> NDArray[np.bool_]:
+        """Whether points (N, 3) of the world are behind what stands still, seen from a ``T_world_camera``, (N,)."""
+        return self.stands(self._full.project(transform(invert(pose), points)))
+
     def without(self, depth: DepthPrediction) -> DepthPrediction:
         """A depth image that has no depth where pixels stand still."""
         if not self.mask.any():
             return depth
         if self._depth_places is None or self._depth_places[0] != depth.camera:
-            rays = depth.camera.rays(_pixels(depth.camera, depth.camera).astype(np.float32))
-            self._depth_places = depth.camera, self._full.project(rays)
+            self._depth_places = depth.camera, self._full.project(depth.camera.pixel_rays().reshape(-1, 3))
         is_hidden = self.stands(self._depth_places[1]).reshape(depth.depth_m.shape)
         return replace(depth, depth_m=np.where(is_hidden, np.float32(0.0), depth.depth_m))
 
@@ -186,10 +188,3 @@ class StandingPixels:
         self.has_grown = self.share > self._largest_share + _GROWN
         if self.has_grown:
             self._largest_share = self.share
-
-
-def _pixels(camera: Camera, of: Camera) -> FloatArray:
-    """All pixels of a camera's image, as those of the same image at another size, (N, 2)."""
-    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    scale = np.array([of.width / camera.width, of.height / camera.height])
-    return np.asarray((np.column_stack([x.ravel(), y.ravel()]) + 0.5) * scale - 0.5, dtype=np.float64)

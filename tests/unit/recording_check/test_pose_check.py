@@ -20,6 +20,7 @@ from altered_recordings import (
     turning_path_at,
     upside_down,
     with_focal,
+    with_noise,
 )
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
@@ -113,12 +114,9 @@ def test_check_and_build_warn_of_a_small_delay(room: tuple[Recording, Matches]) 
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
-def test_right_poses_are_told_no_delay(room: tuple[Recording, Matches], noise_m: float) -> None:
+def test_right_poses_have_no_delay(room: tuple[Recording, Matches], noise_m: float) -> None:
     recording, matches = room
-    assert recording.poses is not None
-    poses = recording.poses.copy()
-    poses[:, :3, 3] += noise_m * np.random.default_rng(0).normal(size=(len(poses), 3))
-    evidence = Evidence(Altered(recording, poses=poses), matches, None)
+    evidence = Evidence(with_noise(recording, noise_m), matches, None)
     explanation = check_matches(evidence).explanation
     assert small_delay(evidence) is None and explanation is None
 

@@ -1,0 +1,90 @@
+"""Checks of what components and sensors give: a user's own may return anything, whatever the types say."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+
+from monoloc.components import Components
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.geometry import is_rigid
+from monoloc.landmarks.pnp import LandmarkMeasurement
+from monoloc.odometry.motion import Motion, Translation
+
+_MOST_SPEED_M_S, _LEAST_MOVED_S = 50.0, 0.05  # of a camera, and the time up to which its stamps may be off
+
+
+def checked_components(made: object) -> Components:
+    """What a components function returns.
+
+    Raises:
+        TypeError: it is no :class:`Components`.
+    """
+    if not isinstance(made, Components):
+        raise TypeError(f"components must be a function that returns Components, got {type(made).__name__} from it")
+    return made
+
+
+def checked_depth(depth: object, what: str) -> DepthPrediction:
+    """Of a depth source, or of a sensor.
+
+    Raises:
+        TypeError: it is no :class:`DepthPrediction`.
+    """
+    if not isinstance(depth, DepthPrediction):
+        fix = (
+            "make it by DepthPrediction(depth_m, camera), or of a sensor's image by monoloc.sensor_depth.sparse_depth"
+        )
+        raise TypeError(f"{what} must be a DepthPrediction, got {type(depth).__name__}; {fix}")
+    return depth
+
+
+def checked_motion(motion: object, what: str) -> Motion:
+    """Of odometry, or of another sensor.
+
+    Raises:
+        TypeError: it is no :class:`Motion`.
+        ValueError: its pose, noise or corners are not as :class:`Motion` says.
+    """
+    if not isinstance(motion, Motion):
+        raise TypeError(f"{what} must be a Motion or None, got {type(motion).__name__}")
+    T, covariance = motion.T_previous_current, motion.view_covariance
+    if np.shape(T) != (4, 4) or not is_rigid(T):
+        raise ValueError(f"{what} must have a rigid T_previous_current, (4, 4)")
+    if covariance is not None and not (np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()):
+        raise ValueError(f"{what} must have a finite view_covariance, (6, 6)")
+    if motion.translation not in get_args(Translation):
+        raise ValueError(f"{what} has translation {motion.translation!r}; it must be scaled, metric or unknown")
+    if np.shape(motion.points) != (len(motion.log_depth_sd), 3):
+        shapes = f"{np.shape(motion.points)} and {np.shape(motion.log_depth_sd)}"
+        raise ValueError(f"{what} must have points (N, 3) and log_depth_sd (N,), got {shapes}")
+    for sd in (motion.translation_sd_m, motion.rotation_sd_rad):
+        if sd is not None and not 0.0 < sd < np.inf:
+            raise ValueError(f"{what} must have positive and finite standard deviations, got {sd}")
+    return motion
+
+
+def check_measured(motion: Motion, elapsed_s: float) -> None:
+    """Check the motion of another sensor since the previous frame.
+
+    Raises:
+        ValueError: it does not state its noise, or is faster than 50 m/s.
+    """
+    if motion.rotation_sd_rad is None:
+        raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")
+    moved_m = float(np.linalg.norm(motion.T_previous_current[:3, 3]))
+    if elapsed_s > 0.0 and moved_m > _MOST_SPEED_M_S * max(elapsed_s, _LEAST_MOVED_S):
+        raise ValueError(f"measured_motion moves by {moved_m:.3g} m in {elapsed_s:.3g} s; give metres")
+
+
+def checked_measurement(measurement: object) -> LandmarkMeasurement:
+    """Of a landmark localiser.
+
+    Raises:
+        TypeError: it is no :class:`LandmarkMeasurement`.
+    """
+    if not isinstance(measurement, LandmarkMeasurement):
+        given = type(measurement).__name__
+        raise TypeError(f"what Components.landmarks measures must be a LandmarkMeasurement, got {given}")
+    return measurement
