@@ -72,7 +72,7 @@ class FlightSettings(BaseModel):
             measures it. The map of a place is that of its first room.
         down: direction of gravity in the map; None takes that of the recording, or of the map's floor and walls.
         most_age_s: since its capture, beyond which a frame is not localised and a pose is not sent.
-        rate_hz: most messages a second of each kind.
+        rate_hz: most poses a second that are sent.
         obstacles: whether OBSTACLE_DISTANCE is sent.
         message: that carries the pose; ``vision_position_estimate`` is for firmware that does not know ODOMETRY.
     """

@@ -307,7 +307,7 @@ def _of_sending(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
     settings = link.settings
     if settings.rate_hz < min(_GOOD_RATE_HZ, rate_hz or 0.0):
         level: Level = "warning" if settings.rate_hz >= _LEAST_RATE_HZ else "bad"
-        remark = f"raise it in flight.toml: {link.firmware.title} asks for {link.firmware.asked_rate}"
+        remark = f"raise it to {_GOOD_RATE_HZ:g} or more in flight.toml"
         yield Finding("rate_hz", level, f"{settings.rate_hz:g} poses a second at most", remark)
     if link.bytes_a_second is None or rate_hz is None:
         return

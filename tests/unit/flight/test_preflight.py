@@ -218,6 +218,11 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
     assert (rate.level, rate.remark) == ("warning", fix)
 
 
+def test_a_low_rate_of_poses_is_answered_with_the_rate_that_is_good() -> None:
+    link = replace(HEARD, firmware=Firmware.ARDUPILOT, settings=FlightSettings(rate_hz=5.0))
+    assert findings_of(good_step(), link=link)["rate_hz"].remark == "raise it to 15 or more in flight.toml"
+
+
 def test_latency_is_answered_with_what_shortens_it_and_with_its_limit_only_beyond_it() -> None:
     faster = "where the computer is slow, set threads = 2, then budget_ms"
     assert findings_of(good_step(), age_s=0.15)["latency"].remark == faster
