@@ -31,6 +31,7 @@ from monoloc.structure_from_motion.triangulation import distance_sd, triangulate
 
 _CLICK_SD_PX = 1.5
 _MOST_OFF = 0.02  # of a mark from the point of all marks, in focal lengths: a click, and the errors of poses and lens
+_MOST_AWAY_M = 50.0  # of a marked point from the nearest camera, in a room
 _FIX = "write metres, a and b, each of the two as [[frame, x, y], [frame, x, y]]"
 
 _Pixel = tuple[str, float, float]
@@ -66,7 +67,12 @@ class DistanceScale:
         a, b = (self._placed(recording, model, *end) for end in (("a", distance.a), ("b", distance.b)))
         length, length_sd = distance_sd(a, b)
         how = f"a distance of {distance.metres:g} m"
-        return from_length(length, _CLICK_SD_PX * length_sd, distance.metres, distance.sd_m, how, str(self.path))
+        found = from_length(length, _CLICK_SD_PX * length_sd, distance.metres, distance.sd_m, how, str(self.path))
+        away_m = found.metres * float(np.linalg.norm(model.poses[:, :3, 3] - a[0], axis=1).min())
+        if away_m > _MOST_AWAY_M:
+            problem = f"metres: is {distance.metres:g}, which puts a {away_m:.0f} m from the nearest camera"
+            raise DataError(self.path, problem, "give it in metres, not in centimetres or millimetres")
+        return found
 
     def _placed(
         self, recording: Recording, model: SparseModel, end: str, pixels: Sequence[_Pixel]

@@ -161,6 +161,17 @@ def test_bad_distances_are_refused(walk: RoomRecording, model: SparseModel, tmp_
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "is not valid TOML", "correct the line")
 
 
+@pytest.mark.parametrize("metres", [80.0, 800.0])  # 0.8 m in centimetres and in millimetres
+def test_distance_in_another_unit_is_refused(
+    walk: RoomRecording, model: SparseModel, tmp_path: Path, metres: float
+) -> None:
+    path = distance_file(tmp_path, model, metres=metres)
+    problem = rf"metres: is {metres:g}, which puts a \d+ m from the nearest camera"
+    refuses_data(
+        lambda: DistanceScale(path).measure(walk, model, []), path, problem, "give it in metres, not in cent"
+    )
+
+
 def test_point_from_one_side_is_not_one_of_too_few_frames(
     walk: RoomRecording, model: SparseModel, tmp_path: Path
 ) -> None:
