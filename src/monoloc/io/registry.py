@@ -117,9 +117,9 @@ def _unrecognised(path: Path) -> DataError:
     if path.suffix.lower() == ".zip":
         return DataError(path, "is an archive", "unpack it, and give the folder")
     if (path / _BUNDLE_FILE).is_file():
-        return DataError(path, "is a bundle, not a recording", "give the images or the video of a flight")
+        return DataError(path, "is a bundle, not a recording", "give the images or the video of a room or a flight")
     if (path / _PLACE_FILE).is_file():
-        return DataError(path, "is a place, not a recording", "give the images or the video of a flight")
+        return DataError(path, "is a place, not a recording", "give the images or the video of a room or a flight")
     suffixes = [file.suffix.lower() for file in path.iterdir()] if path.is_dir() else [""]
     if {".db3", ".mcap"}.intersection(suffixes):
         fix = f"give its .db3 or .mcap file, or run: ros2 bag reindex {path}"
