@@ -20,11 +20,9 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     open_source,
-    print_json,
-    print_table,
+    print_figures,
     refuse_frames,
     stderr,
-    text_of,
 )
 from monoloc.config import override
 from monoloc.errors import DataError
@@ -221,8 +219,5 @@ def _show(figures: DataclassInstance, json: bool) -> None:
     left_out = [name for name, value in content.items() if value is None]
     if left_out:
         stderr.print(f"scikit-learn is not installed, so these are left out: {', '.join(left_out)}")
-    if json:
-        print_json(content)
-    else:
-        rows = [[name, text_of(value)] for name, value in content.items() if value is not None]
-        print_table("monoloc bench", ["", ""], rows)
+    shown = content if json else {name: value for name, value in content.items() if value is not None}
+    print_figures("monoloc bench", shown, json)

@@ -17,6 +17,7 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     open_source,
+    print_figures,
     print_json,
     print_table,
     stderr,
@@ -165,10 +166,7 @@ def fly(
             bundle, source, frames, camera, seconds, rate_hz, firmware, Path(folder), stderr.print
         )
     content = asdict(figures)
-    if json:
-        print_json(content)
-    else:
-        print_table(f"{bundle}, {source}", ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(f"{bundle}, {source}", content, json)
 
 
 def soak(
@@ -192,10 +190,7 @@ def soak(
     cv2.setNumThreads(1)  # as in a flight
     with ConsoleProgress(stderr).task("soak", steps) as show:
         content = asdict(bench_soak(room, recording, steps, seed, show))
-    if json:
-        print_json(content)
-    else:
-        print_table(f"{bundle}, {source}", ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(f"{bundle}, {source}", content, json)
 
 
 def stop(

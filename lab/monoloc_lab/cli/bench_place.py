@@ -14,6 +14,7 @@ import typer
 from monoloc.cli.common import (
     JsonOption,
     SeedOption,
+    print_figures,
     print_json,
     print_table,
     stderr,
@@ -52,5 +53,5 @@ def place(
         print_json(figures)
         return
     sizes = figures.pop("sizes")
-    print_table("monoloc bench place", ["", ""], [[name, text_of(value)] for name, value in figures.items()])
+    print_figures("monoloc bench place", figures, json=False)
     print_table("Cost", list(sizes[0]), [[text_of(value) for value in size.values()] for size in sizes])

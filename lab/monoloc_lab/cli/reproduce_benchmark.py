@@ -8,7 +8,7 @@ from typing import Any
 
 from monoloc.adapt.settings import QUICK
 from monoloc.builder.build_config import BuildConfig
-from monoloc.cli.common import print_json, print_table, stderr
+from monoloc.cli.common import note, print_json, print_table, say_written
 from monoloc.cli.output_checks import check_folder
 from monoloc.config import override
 from monoloc.errors import SettingError
@@ -49,8 +49,8 @@ def reproduce_benchmark(
     config = override(BuildConfig(), adapt=QUICK) if quick else BuildConfig()
     chosen = [read_scene(benchmark, data, name) for name in names]
     for scene in chosen:
-        for note in scene.notes:
-            stderr.print(f"note: {scene.name}: {note}", soft_wrap=True)
+        for line in scene.notes:
+            note(scene.name, line)
     runs = [scene_runs(scene, network, config) for scene in chosen]
     out = out.resolve()
     out.mkdir(exist_ok=True)
@@ -74,7 +74,7 @@ def reproduce_benchmark(
         print_json(content)
         return
     _print_rows(f"{BENCHMARKS[benchmark].title}: one build a scene, without a start", content)
-    stderr.print(f"written: {file}", soft_wrap=True)
+    say_written(file)
 
 
 def _size_of(sizes: Sequence[str]) -> str:

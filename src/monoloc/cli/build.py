@@ -25,10 +25,12 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     naming,
+    note,
     open_cloud,
     open_source,
     print_json,
     stderr,
+    warn,
 )
 from monoloc.cli.reconstruct import reconstruct_source
 from monoloc.config import load_settings, override
@@ -155,10 +157,10 @@ def build(
             evidence.unlink()
     report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:
-        stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
+        warn(recording.name, warning)
     if report.frames < report.recorded_frames:
         remark = f"{report.frames} of {report.recorded_frames} frames are used, chosen to show most of the room"
-        stderr.print(f"note: {recording.name}: {remark}; most_frames in --settings uses more", soft_wrap=True)
+        note(recording.name, f"{remark}; most_frames in --settings uses more")
     if json:
         print_json({"bundle": str(out), "bytes": size, **asdict(report)})
     else:

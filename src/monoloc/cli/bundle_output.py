@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from monoloc.bundle import check_target, replaced_edits
-from monoloc.cli.common import stderr
+from monoloc.cli.common import note
 from monoloc.cli.output_checks import check_apart
 from monoloc.errors import SettingError
+
+SIGNATURE_REMOVED = "its signature is void and was removed; sign it again"
+"""What is said of a signed bundle that was changed."""
 
 
 def check_bundle_output(out: Path, inputs: Sequence[str | Path]) -> None:
@@ -42,4 +45,4 @@ def note_replaced(out: Path, evidence: Path | None = None, advice: str = "") -> 
     if evidence is not None and evidence.is_file():
         parts.append(f"what flights showed of it ({evidence.name})")
     if parts:
-        stderr.print(f"note: {out}: the new bundle replaces {' and '.join(parts)}, too{advice}", soft_wrap=True)
+        note(out, f"the new bundle replaces {' and '.join(parts)}, too{advice}")

@@ -23,6 +23,7 @@ from monoloc.cli.common import (
     print_table,
     say_written,
     stderr,
+    warn,
 )
 from monoloc.cli.output_checks import check_outputs, check_picture, check_suffix
 from monoloc.distortion import COEFFICIENTS, DistortionModel
@@ -120,7 +121,7 @@ def camera_command(
     if plot is not None:
         plot_coverage(plot, calibration, board, title=source)
     for warning in warnings:
-        stderr.print(f"warning: {source}: {warning}", soft_wrap=True)
+        warn(source, warning)
     say_written(out, plot)
     if json:
         print_json({**_figures(calibration, found.images), "warnings": warnings, "out": str(out)})

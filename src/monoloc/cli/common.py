@@ -151,8 +151,8 @@ def open_source(
         recording = open_recording(source, reading)
         # The last note of turned images is theirs, and poses that are fixed do not turn them.
         is_turned = isinstance(recording, Turned) and fix_poses is not None
-        for note in recording.notes[:-1] if is_turned else recording.notes:
-            stderr.print(f"note: {recording.name}: {note}", soft_wrap=True)
+        for line in recording.notes[:-1] if is_turned else recording.notes:
+            note(recording.name, line)
         return select_frames(corrected(recording, fixes), frames)
 
 
@@ -164,8 +164,8 @@ def open_cloud(path: Path) -> FloatArray:
     """
     notes: list[str] = []
     points = read_cloud(path, notes)
-    for note in notes:
-        stderr.print(f"note: {path}: {note}", soft_wrap=True)
+    for line in notes:
+        note(path, line)
     return points
 
 
@@ -208,6 +208,24 @@ def say_written(*paths: Path | None) -> None:
     for path in paths:
         if path is not None:
             stderr.print(f"written: {path}", soft_wrap=True)
+
+
+def warn(about: object, what: str) -> None:
+    """Print a warning about a file, a recording or an option, one line on stderr."""
+    stderr.print(f"warning: {about}: {what}", soft_wrap=True)
+
+
+def note(about: object, what: str) -> None:
+    """Print a note as :func:`warn` prints a warning."""
+    stderr.print(f"note: {about}: {what}", soft_wrap=True)
+
+
+def print_figures(title: str, figures: Mapping[str, object], json: bool) -> None:
+    """Print a result on stdout: as one JSON object, or as a table with a line for each figure."""
+    if json:
+        print_json(figures)
+    else:
+        print_table(title, ["", ""], [[name, text_of(value)] for name, value in figures.items()])
 
 
 def print_json(content: Mapping[str, object]) -> None:

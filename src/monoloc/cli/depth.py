@@ -24,6 +24,7 @@ from monoloc.cli.common import (
     print_table,
     refuse_frames,
     stderr,
+    warn,
 )
 from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture
 from monoloc.config import load_settings, override
@@ -107,7 +108,7 @@ def train(
     is_first = os.environ.get("RANK", "0") == "0"
     progress = ConsoleProgress(stderr) if is_first else NoProgress()
     if is_first and (problem := _trained_on(training[0], validation)) is not None:
-        stderr.print(f"warning: {source}: {problem}", soft_wrap=True)
+        warn(source, problem)
 
     def draw(history: list[EpochRecord]) -> None:
         records = [asdict(record) for record in history]

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import Bundle
-from monoloc.cli.common import stderr
+from monoloc.cli.common import warn
 from monoloc.editing.box import Box, parse_box
 from monoloc.editing.changed_region import read_changed_region
 from monoloc.editing.paired_map import down_direction
@@ -69,5 +69,5 @@ def _down_for(bundle: Bundle, turn_deg: float, option: str) -> FloatArray:
     """Down, (3,), and a warning where a turn is about an axis that may be tilted."""
     if turn_deg != 0.0 and bundle.down is None:
         problem = "is about the cameras' mean vertical, since the map does not give the direction of gravity"
-        stderr.print(f"warning: {option}: {problem}; look at the map, and undo if it is tilted", soft_wrap=True)
+        warn(option, f"{problem}; look at the map, and undo if it is tilted")
     return down_direction(bundle)

@@ -12,13 +12,8 @@ import typer
 
 from monoloc.bundle import Bundle, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
-from monoloc.cli.bundle_output import check_bundle_output, note_replaced
-from monoloc.cli.common import (
-    print_json,
-    print_table,
-    stderr,
-    text_of,
-)
+from monoloc.cli.bundle_output import SIGNATURE_REMOVED, check_bundle_output, note_replaced
+from monoloc.cli.common import note, print_figures, stderr, warn
 from monoloc.edit_record import EditRecord
 from monoloc.editing.unchanged import AsFound
 from monoloc.files import target_of
@@ -48,7 +43,7 @@ class EditTarget:
             was_signed = (target / SIGNATURE).is_file()
             size = write_bundle(target_of(target), edited)
         if was_signed:
-            stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
+            note(target, SIGNATURE_REMOVED)
         content: dict[str, object] = {"bundle": str(target), "bytes": size, "seconds": round(seconds, 3)}
         if len(edited.edits) >= len(bundle.edits):  # as many where the first one was dropped
             last = edited.edits[-1]
@@ -59,10 +54,7 @@ class EditTarget:
             content |= {"kind": "undo", "undone": undone_edit.model_dump(mode="json")}
             if undone_edit.kind == "update":
                 stderr.print("note: what its flights showed is used up; two new flights can propose it again")
-        if json:
-            print_json(content)
-        else:
-            print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in readable(content).items()])
+        print_figures(str(target), content if json else readable(content), json)
 
 
 def edit_target(context: typer.Context) -> EditTarget:
@@ -86,13 +78,12 @@ def _remark(record: EditRecord) -> None:
     """Say what the record of an addition holds against it."""
     changes, source = record.changes, record.parameters.get("source", record.parameters.get("cloud"))
     for warning in changes.get("warnings", []):
-        stderr.print(f"warning: {source}: {warning}", soft_wrap=True)
+        warn(source, warning)
     if left_out := changes.get("frames_left_out"):
-        note = f"frames that the map was made of are left out ({left_out})"
-        stderr.print(f"note: {source}: {note}", soft_wrap=True)
+        note(source, f"frames that the map was made of are left out ({left_out})")
     names = ("confirmed_by_landmarks", "contradicted_by_landmarks", "looked_at")
     confirmed, contradicted, looked_at = (changes.get(f"frames_{name}", 0) for name in names)
     if confirmed and confirmed <= contradicted:
         found = f"landmarks of the map confirm the poses of {confirmed} of {looked_at} frames"
         fix = f"and contradict {contradicted}; if they are in another world, undo, and extend with --align"
-        stderr.print(f"warning: {source}: {found}, {fix}", soft_wrap=True)
+        warn(source, f"{found}, {fix}")

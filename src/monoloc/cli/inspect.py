@@ -20,10 +20,8 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     open_source,
-    print_json,
-    print_table,
+    print_figures,
     refuse_frames,
-    text_of,
 )
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import twist_errors
@@ -68,10 +66,7 @@ def inspect(
         content = _bundle(Path(target))
     else:
         content = _recording(open_source(target, frames, intrinsics))
-    if json:
-        print_json(content)
-    else:
-        print_table(target, ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(target, content, json)
 
 
 def _bundle(path: Path) -> dict[str, object]:

@@ -33,6 +33,7 @@ from monoloc.cli.common import (
     print_table,
     say_written,
     stderr,
+    warn,
 )
 from monoloc.cli.motion_options import (
     GyroscopeOption,
@@ -200,7 +201,7 @@ def localize_command(
         show(metrics)
         say_written(*written)
     for doubt in doubts_of(run, metrics, room):
-        stderr.print(f"warning: {recording.name}: {doubt}", soft_wrap=True)
+        warn(recording.name, doubt)
     if failures:
         raise MonolocError("; ".join(map(str, failures)))
 

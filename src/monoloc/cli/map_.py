@@ -21,12 +21,10 @@ from monoloc.cli.common import (
     naming,
     open_cloud,
     open_source,
-    print_json,
-    print_table,
+    print_figures,
     refuse_frames,
     say_written,
     stderr,
-    text_of,
 )
 from monoloc.cli.map_looking import export, info, render
 from monoloc.cli.map_update import update
@@ -92,10 +90,7 @@ def fit(
         "bytes": mixture.nbytes_stored,
         "log_likelihood": float(mixture.log_density(cloud).mean()),
     }
-    if json:
-        print_json(fitted)
-    else:
-        print_table(str(out), ["", ""], [[name, text_of(value)] for name, value in fitted.items()])
+    print_figures(str(out), fitted, json)
 
 
 @app.command()
@@ -136,9 +131,6 @@ def compare(
     if out is not None:
         plot_map_change(out, *shown, name, edits)
         content = {"picture": str(out), **content}
-    if json:
-        print_json(content)
-    else:
-        print_table(str(bundle), ["", ""], [[figure, text_of(value)] for figure, value in content.items()])
+    print_figures(str(bundle), content, json)
     show_map_change(name, view, record, *shown, edits)  # last, so that a failure affects no other output
     say_written(record)

@@ -14,10 +14,8 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     naming,
-    print_json,
-    print_table,
-    stderr,
-    text_of,
+    print_figures,
+    warn,
 )
 from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, parse_pose
@@ -60,10 +58,7 @@ def info(
       monoloc map info kitchen.monoloc --json
     """
     content = _bundle(target) if target.is_dir() else _mixture(GaussianMixture.load(target))
-    if json:
-        print_json(content)
-    else:
-        print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(str(target), content, json)
 
 
 def render(
@@ -111,10 +106,7 @@ def render(
         with naming({"pose": "--pose" if reference is None else "--reference"}):
             plot_from_pose(out, views, room.camera, given)
     content = {"picture": str(out), "from": "above" if given is None else "pose", "bundles": len(views)}
-    if json:
-        print_json(content)
-    else:
-        print_table(str(bundle), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(str(bundle), content, json)
 
 
 def export(
@@ -172,10 +164,7 @@ def export(
     with naming({"voxel_m": "--voxel", "height_m": "--height"}):
         written = export_ellipsoids(out, room) if ellipsoids else writers[ending](room)
     content = {"written": str(out), **written}
-    if json:
-        print_json(content)
-    else:
-        print_table(str(bundle), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(str(bundle), content, json)
 
 
 def _check_options(ending: str, options: dict[str, tuple[bool, tuple[str, ...]]]) -> None:
@@ -250,7 +239,7 @@ def _check_world(before: MapView, after: MapView) -> None:
     share = max(float(np.mean(cloud_distances(*pair) < CHANGED_M)) for pair in ((first, second), (second, first)))
     if share < _LEAST_COMMON:
         problem = f"at most {share:.0%} of its surfaces are also in {before.name}"
-        stderr.print(f"warning: {after.name}: {problem}; both must be of one world", soft_wrap=True)
+        warn(after.name, f"{problem}; both must be of one world")
 
 
 def _reference_pose(bundle: Bundle, path: Path, number: int) -> FloatArray:

@@ -14,7 +14,7 @@ import typer
 
 from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
-from monoloc.cli.bundle_output import check_bundle_output, note_replaced
+from monoloc.cli.bundle_output import SIGNATURE_REMOVED, check_bundle_output, note_replaced
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -22,6 +22,7 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SeedOption,
+    note,
     open_source,
     print_json,
     print_table,
@@ -136,7 +137,7 @@ def update(
                 write_bundle(target_of(target), updated)
             write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
-        stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
+        note(target, SIGNATURE_REMOVED)
     _print(target, flights, evidence, proposed, chosen, plot, json, 0 if unused is None else 1)
     if unused is not None:
         raise unused

@@ -18,6 +18,7 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     open_source,
+    print_figures,
     print_json,
     print_table,
     refuse_frames,
@@ -117,10 +118,7 @@ def door(
         measured = measure_door(names, rooms, recording, ConsoleProgress(stderr))
     write_place(joined.with_door(measured.door))
     content = {"place": str(place), **_described(measured)}
-    if json:
-        print_json(content)
-    else:
-        print_table(str(place), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+    print_figures(str(place), content, json)
 
 
 @app.command()
@@ -222,4 +220,4 @@ def _show(content: dict[str, object], run: PlaceRun) -> None:
     if rows:
         print_table("Entries", ["", "from", "to"], rows)
     shown = {name: value for name, value in content.items() if name != "switches"}
-    print_table("Frames", ["", ""], [[name, text_of(value)] for name, value in shown.items()])
+    print_figures("Frames", shown, json=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from monoloc.cli.common import stderr
+from monoloc.cli.common import warn
 from monoloc.io.recording import Recording
 from monoloc.recording_check.pose_check import check_poses
 
@@ -31,6 +31,6 @@ def warn_of_poses(recording: Recording) -> None:
         else:
             fix = f"{len(recording)} frames do not decide this; check at least {_LEAST_FRAMES} by: monoloc check"
             line = f"errors against its poses may mean nothing: {check.sentence}; {fix}"
-        stderr.print(f"warning: {recording.name}: {line}", soft_wrap=True)
+        warn(recording.name, line)
     elif check.jump_sentence is not None:
-        stderr.print(f"warning: {recording.name}: {check.jump_sentence}", soft_wrap=True)
+        warn(recording.name, check.jump_sentence)

@@ -19,6 +19,7 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     naming,
+    note,
     open_source,
     print_json,
     say_written,
@@ -103,8 +104,8 @@ def reconstruct_source(recording: Recording, scale: str | None, seed: int) -> Re
     with naming({"scale": "--scale"}):
         chosen = parse_scale(scale, recording.has_depth)
         found = reconstruct(recording, chosen, has_guessed_camera(recording), seed, ConsoleProgress(stderr))
-    for note in found.recording.notes:
-        stderr.print(f"note: {recording.name}: {note}", soft_wrap=True)
+    for line in found.recording.notes:
+        note(recording.name, line)
     return found
 
 

@@ -15,6 +15,7 @@ from monoloc.cli.common import (
     JsonOption,
     PlainConsole,
     naming,
+    note,
     print_json,
     stderr,
 )
@@ -94,8 +95,8 @@ def replay(
         if out is not None:
             write_whole(out, read_regular(again / POSES))
     if breaks_off:
-        note = f"holds {frames} whole frames and {len(recorded) - 1} poses: it was cut short, or not copied whole"
-        stderr.print(f"note: {folder}: {note}; what both have is compared", soft_wrap=True)
+        found = f"holds {frames} whole frames and {len(recorded) - 1} poses: it was cut short, or not copied whole"
+        note(folder, f"{found}; what both have is compared")
     _report(len(pairs), different, same_messages, header, json)
 
 
