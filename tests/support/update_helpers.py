@@ -18,10 +18,8 @@ from monoloc.map.em import fit_mixture
 from monoloc.progress import NoProgress
 from monoloc.updating.observed_flight import ObservedFlight, observe
 from monoloc.updating.room_evidence import Evidence
-from monoloc.updating.update_rules import UpdateRules
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path
 
-RULES = UpdateRules()
 _RATE_HZ = 8.0
 _MOVED, _SHIFT_M = 1, -0.7  # the box, and its shift along x
 
@@ -72,14 +70,14 @@ def observed(recording: Recording, bundle: Bundle | None = None, **given: object
     known = given.get("known", frozenset())
     assert isinstance(known, frozenset)
     rng = np.random.default_rng(0)
-    return observe(bundle or mapped(), recording, None, True, known, RULES, rng, NoProgress())
+    return observe(bundle or mapped(), recording, None, True, known, rng, NoProgress())
 
 
 @cache
 def evidence_of(*numbers: int, room: Room = ChangedRoom()) -> Evidence:
     """What some flights have shown of the mapped room."""
     if not numbers:
-        return Evidence.none(mapped(), RULES)
+        return Evidence.none(mapped())
     before = evidence_of(*numbers[:-1], room=room)
     seen = observed(flight(numbers[-1], room))
-    return before.after_flight(mapped(), seen, True, RULES, np.random.default_rng(0))
+    return before.after_flight(mapped(), seen, True, np.random.default_rng(0))

@@ -26,7 +26,6 @@ from monoloc.updating.apply_update import applied
 from monoloc.updating.observed_flight import ObservedFlight, observe
 from monoloc.updating.proposals import Proposal, proposals
 from monoloc.updating.room_evidence import Evidence
-from monoloc.updating.update_rules import UpdateRules
 from monoloc_lab.rooms import TESTS
 from monoloc_lab.synth.changing_room import changed, flown, plan_round, render_round
 from monoloc_lab.synth.layout import generate_room
@@ -152,22 +151,22 @@ def bench_ageing(days: Days, is_sensor_depth: bool, starts: int, seed: int, prog
         starts: flights on each map, each from another start.
         seed: of builds, starts and localizers.
     """
-    rules, rng = UpdateRules(), np.random.default_rng((seed, 0xA6E))
+    rng = np.random.default_rng((seed, 0xA6E))
     built, fresh = (build_bundle(each, _BUILD, seed)[0] for each in (days.build, days.fresh))
-    bundle, evidence = built, Evidence.none(built, rules)
+    bundle, evidence = built, Evidence.none(built)
     figures = []
     poisoned, poison_changed = None, False
     with progress.task("days", len(days.flights)) as show:
         for day, (moved, recordings) in enumerate(zip(days.moved, days.flights, strict=True), start=1):
             never_updated, updated = (_errors(each, recordings[0], starts, seed) for each in (built, bundle))
             if day == (len(days.flights) + 1) // 2:
-                flight = observe(bundle, days.other_room, None, False, frozenset(), rules, rng, NoProgress())
+                flight = observe(bundle, days.other_room, None, False, frozenset(), rng, NoProgress())
                 poisoned = flight.refusal
-                poison_changed = evidence.after_flight(bundle, flight, False, rules, rng) is not evidence
+                poison_changed = evidence.after_flight(bundle, flight, False, rng) is not evidence
             count, refusals, usable, changes = len(bundle.edits), [], 0, Counter[str]()
             for recording in recordings:
                 flight, proposed, bundle, evidence = _flight_applied(
-                    bundle, evidence, recording, is_sensor_depth, rules, rng
+                    bundle, evidence, recording, is_sensor_depth, rng
                 )
                 refusals += [flight.refusal] if flight.refusal else []
                 usable += len(flight.frames)
@@ -202,15 +201,14 @@ def _flight_applied(
     evidence: Evidence,
     recording: Recording,
     is_sensor_depth: bool,
-    rules: UpdateRules,
     rng: np.random.Generator,
 ) -> tuple[ObservedFlight, list[Proposal], Bundle, Evidence]:
     """A flight, all that is proposed after it, and bundle and evidence with that applied."""
     known = frozenset(evidence.frames)
-    flight = observe(bundle, recording, None, is_sensor_depth, known, rules, rng, NoProgress())
-    evidence = evidence.after_flight(bundle, flight, is_sensor_depth, rules, rng)
-    proposed = proposals(evidence, bundle, rules)
-    return flight, proposed, *applied(bundle, evidence, proposed, rules, rng)
+    flight = observe(bundle, recording, None, is_sensor_depth, known, rng, NoProgress())
+    evidence = evidence.after_flight(bundle, flight, is_sensor_depth, rng)
+    proposed = proposals(evidence, bundle)
+    return flight, proposed, *applied(bundle, evidence, proposed, rng)
 
 
 def as_json(figures: AgeingFigures) -> dict[str, object]:

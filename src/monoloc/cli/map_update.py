@@ -45,7 +45,6 @@ from monoloc.updating.apply_update import applied
 from monoloc.updating.observed_flight import ObservedFlight, observe
 from monoloc.updating.proposals import Proposal, proposals
 from monoloc.updating.room_evidence import Evidence, evidence_path, read_evidence, write_evidence
-from monoloc.updating.update_rules import UpdateRules
 from monoloc.viz.update_drawing import UpdateView, plot_update
 
 _DRAWN_POINTS = 60_000
@@ -101,7 +100,7 @@ def update(
     target = out or bundle
     _check_choice(apply, auto, given)
     _check_outputs(bundle, out, plot, given)
-    rules, rng = UpdateRules(), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     found = AsFound.of(target_of(target), evidence_path(target_of(target)))
     room = read_bundle(bundle)
     if auto or apply is not None:
@@ -109,7 +108,7 @@ def update(
     recordings = [open_source(source, frames, intrinsics, depth_scale, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
         _check_depth(recordings)
-    before = evidence = read_evidence(evidence_path(target_of(bundle)), room, rules)
+    before = evidence = read_evidence(evidence_path(target_of(bundle)), room)
     cv2.setNumThreads(1)  # as in a flight
     flights = []
     for recording in recordings:
@@ -118,19 +117,19 @@ def update(
         begin = start_of(start, room, first, START_ERROR_M, float(np.deg2rad(START_ERROR_DEG)), rng)
         known = frozenset(evidence.frames)
         progress = ConsoleProgress(stderr)
-        flight = observe(room, recording, begin, is_sensor_depth, known, rules, rng, progress)
-        evidence = evidence.after_flight(room, flight, is_sensor_depth, rules, rng)
+        flight = observe(room, recording, begin, is_sensor_depth, known, rng, progress)
+        evidence = evidence.after_flight(room, flight, is_sensor_depth, rng)
         flights.append(flight)
-    proposed = proposals(evidence, room, rules)
+    proposed = proposals(evidence, room)
     chosen = proposed if auto else _chosen(proposed, apply)
-    updated, left = applied(room, evidence, chosen, rules, rng)
+    updated, left = applied(room, evidence, chosen, rng)
     was_signed = (target / SIGNATURE).is_file()
     unused = None if chosen else _none_used(flights)
     plot = plot if unused is None else None
     is_written = unused is None and (left is not before or out is not None)
     with found.held() if is_written else nullcontext():
         if plot is not None:  # first, so that a bundle is not replaced and then reported as failed
-            shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
+            shown = updated if chosen else applied(room, evidence, proposed, np.random.default_rng(seed))[0]
             _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
         if is_written:
             if chosen or out is not None:

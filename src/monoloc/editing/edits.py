@@ -191,8 +191,8 @@ def _points_of(components: Components, rng: np.random.Generator) -> FloatArray:
     return components.mixture().sample(count, rng) if len(components) else np.zeros((0, 3))
 
 
-def select_landmarks(landmarks: Landmarks, chosen: NDArray[np.bool_]) -> Landmarks:
-    """Some of L landmarks, (L,) bool, with what the views found of them."""
+def select_landmarks(landmarks: Landmarks, chosen: NDArray[np.bool_ | np.int64]) -> Landmarks:
+    """Some of L landmarks, by a mask (L,) or by their indices, with what the views found of them."""
     views = landmarks.views
     if views is not None:
         views = LandmarkViews(views.poses, views.found[:, chosen])

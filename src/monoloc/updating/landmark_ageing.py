@@ -18,8 +18,7 @@ from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkVi
 from monoloc.supervision.integrity import IntegrityModel
 from monoloc.supervision.map_change import touching
 from monoloc.updating.observed_flight import ObservedFlight, UsableFrame
-from monoloc.updating.tally import Tally, bernoulli_nats
-from monoloc.updating.update_rules import UpdateRules
+from monoloc.updating.tally import MOST_NATS, Tally, bernoulli_nats
 
 _RADIUS_PX = 8.0  # around a corner's expected pixel, as for landmarks
 _MOST_CANDIDATES = 6000  # 500 kB
@@ -41,20 +40,18 @@ class Candidates:
     tally: Tally
 
     @classmethod
-    def none(cls, views: LandmarkViews, rules: UpdateRules) -> Candidates:
+    def none(cls, views: LandmarkViews) -> Candidates:
         found = np.zeros((len(views.poses), 0), dtype=np.bool_)
-        return cls(replace(Landmarks.none(), views=LandmarkViews(views.poses, found)), Tally.new(0, rules))
+        return cls(replace(Landmarks.none(), views=LandmarkViews(views.poses, found)), Tally.new(0))
 
     def __len__(self) -> int:
         return len(self.corners)
 
-    def select(self, chosen: NDArray[np.bool_]) -> Candidates:
+    def select(self, chosen: NDArray[np.bool_ | np.int64]) -> Candidates:
         return Candidates(select_landmarks(self.corners, chosen), self.tally[chosen])
 
 
-def landmarks_after(
-    tally: Tally, landmarks: Landmarks, flight: ObservedFlight, model: IntegrityModel, rules: UpdateRules
-) -> Tally:
+def landmarks_after(tally: Tally, landmarks: Landmarks, flight: ObservedFlight, model: IntegrityModel) -> Tally:
     """Evidence that landmarks are gone, after a flight.
 
     A landmark that is there is found as often as the flight's familiar landmarks are, which says how blurred and how
@@ -65,8 +62,8 @@ def landmarks_after(
     there, strange = _found_rates(expected, found, model)
     missed = expected - found
     nats = bernoulli_nats(expected, missed, 1.0 - strange, 1.0 - there)
-    nats = np.where(expected > 0, nats + _of_neighbours(landmarks, nats, rules), 0.0)
-    return tally.after_flight(expected, missed, nats, rules)
+    nats = np.where(expected > 0, nats + _of_neighbours(landmarks, nats), 0.0)
+    return tally.after_flight(expected, missed, nats)
 
 
 def candidates_after(
@@ -75,7 +72,6 @@ def candidates_after(
     flight: ObservedFlight,
     is_sensor_depth: bool,
     model: IntegrityModel,
-    rules: UpdateRules,
 ) -> Candidates:
     """Evidence for new landmarks, after a flight.
 
@@ -88,13 +84,13 @@ def candidates_after(
     expected, found, seen_from = _sought(candidates.corners, flight, near)
     rates = _found_rates(*_familiar_counts(flight, len(landmarks)), model)
     nats = bernoulli_nats(expected, found, *rates)
-    tally = candidates.tally.after_flight(expected, found, nats, rules)
+    tally = candidates.tally.after_flight(expected, found, nats)
     known = candidates.corners.views
     assert known is not None
     corners = replace(candidates.corners, views=LandmarkViews(views.poses, known.found | seen_from))
     before = Candidates(corners, tally)
-    before = before.select(tally.is_above_prior(rules))  # not those that were not found again
-    fresh = _fresh(before.corners, landmarks, flight, near, is_sensor_depth, rules)
+    before = before.select(tally.is_above_prior)  # not those that were not found again
+    fresh = _fresh(before.corners, landmarks, flight, near, is_sensor_depth)
     return _bounded(Candidates(with_more(before.corners, fresh.corners), before.tally + fresh.tally))
 
 
@@ -123,7 +119,7 @@ def _found_rates(
     return np.clip(rate, 1.5 * strange, max(_MOST_RATE, model.familiar_found)), strange
 
 
-def _of_neighbours(landmarks: Landmarks, nats: FloatArray, rules: UpdateRules) -> FloatArray:
+def _of_neighbours(landmarks: Landmarks, nats: FloatArray) -> FloatArray:
     """What the landmarks in the cell of each, and in those that touch it, say of it, (L,).
 
     Each has as little weight as it has in the state *map-changed*, since what hides one hides it for long.
@@ -133,7 +129,7 @@ def _of_neighbours(landmarks: Landmarks, nats: FloatArray, rules: UpdateRules) -
     cell_of = cell_of.reshape(-1)
     cell, other = touching(cells)
     sums = np.bincount(cell, np.bincount(cell_of, bounded, len(cells))[other], len(cells))
-    most = rules.most_nats - _NEIGHBOUR_NATS  # so that neighbours alone decide nothing
+    most = MOST_NATS - _NEIGHBOUR_NATS  # so that neighbours alone decide nothing
     return np.asarray(np.clip(sums[cell_of] - bounded, -most, most))
 
 
@@ -188,7 +184,6 @@ def _fresh(
     flight: ObservedFlight,
     near: list[NDArray[np.int64]],
     is_sensor_depth: bool,
-    rules: UpdateRules,
 ) -> Candidates:
     """Corners that this flight is the first to show."""
     poses = np.stack([frame.pose for frame in flight.frames])
@@ -206,7 +201,7 @@ def _fresh(
     seen = select_landmarks(replace(seen, views=LandmarkViews(views.poses, seen_from)), is_seen)
     counts = finds[is_seen]
     certain = np.full(len(seen), np.inf)
-    return Candidates(seen, Tally.new(len(seen), rules).after_flight(counts, counts, certain, rules))
+    return Candidates(seen, Tally.new(len(seen)).after_flight(counts, counts, certain))
 
 
 def _unmatched(frame: UsableFrame, flight: ObservedFlight) -> Corners:
@@ -226,6 +221,4 @@ def _bounded(candidates: Candidates) -> Candidates:
     if len(candidates) <= _MOST_CANDIDATES:
         return candidates
     order = np.lexsort((np.arange(len(candidates)), candidates.tally.log_odds))
-    chosen = np.zeros(len(candidates), dtype=np.bool_)
-    chosen[order[-_MOST_CANDIDATES:]] = True
-    return candidates.select(chosen)
+    return candidates.select(np.sort(order[-_MOST_CANDIDATES:]))

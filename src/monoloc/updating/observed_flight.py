@@ -28,11 +28,15 @@ from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
-from monoloc.updating.update_rules import UpdateRules
 
 # Of a depth sensor: share of the distance, and what pose and map add.
 _SENSOR_SD, _POSE_SD_M = 0.02, 0.03
 _MOST_MISMATCHES = 0.1  # share of frames whose landmarks fit another focal length
+_LEAST_TRACKING_SHARE = 0.5  # of a flight's frames that are *tracking* or *map-changed*
+_LEAST_VIEWS, _APART_M = 5, 0.05  # usable frames of a flight, and pose distance between them: nearer ones err alike
+_LEAST_WITNESSES = 20  # landmarks outside of the changed region that agree with a frame's pose
+# Of the share of familiar landmarks that the build found, at least found in a frame outside of the changed region.
+_LEAST_FAMILIAR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,6 @@ def observe(
     start: Start | None,
     is_sensor_depth: bool,
     known: frozenset[int],
-    rules: UpdateRules,
     rng: np.random.Generator,
     progress: Progress,
 ) -> ObservedFlight:
@@ -110,11 +113,11 @@ def observe(
         DataError: as :func:`views_of` and :func:`monoloc.run.localize`.
     """
     views_of(bundle)
-    watcher = _Watcher(bundle, recording, is_sensor_depth, known, rules)
+    watcher = _Watcher(bundle, recording, is_sensor_depth, known)
     localize(bundle, recording, start, rng, progress, viewer=watcher)
     depth_error = DepthError(_SENSOR_SD, 0.0, True) if is_sensor_depth else DepthError.of(bundle)
     states: dict[State, int] = dict(watcher.states)
-    refusal, fix = _refusal(watcher, rules) or (None, "")
+    refusal, fix = _refusal(watcher) or (None, "")
     return ObservedFlight(recording.name, watcher.frames, watcher.detected, states, depth_error, refusal, fix)
 
 
@@ -131,22 +134,22 @@ def views_of(bundle: Bundle) -> LandmarkViews:
     return views
 
 
-def _refusal(watcher: _Watcher, rules: UpdateRules) -> tuple[str, str] | None:
+def _refusal(watcher: _Watcher) -> tuple[str, str] | None:
     """The problem with a flight, and what to do; None if there is none."""
     count = sum(watcher.states.values())
     share = sum(watcher.states[state] for state in VOUCHED_FOR) / count
     if watcher.mismatches > _MOST_MISMATCHES * count:
         problem = f"landmarks fit another focal length in {watcher.mismatches} of {count} frames"
         return problem, "give the intrinsics of its camera (--camera)"
-    if share < rules.least_tracking_share:
-        problem = f"{share:.0%} of its frames are tracking, fewer than {rules.least_tracking_share:.0%}"
+    if share < _LEAST_TRACKING_SHARE:
+        problem = f"{share:.0%} of its frames are tracking, fewer than {_LEAST_TRACKING_SHARE:.0%}"
         return problem, "give a flight in this room, slow and where its build looked"
     if watcher.known > 0.5 * count:
         problem = f"{watcher.known} of its {count} frames built the map or were counted before"
         return problem, "give another flight"
-    if len(watcher.frames) < rules.least_views:
+    if len(watcher.frames) < _LEAST_VIEWS:
         others = ", ".join(f"{why}: {number}" for why, number in watcher.left_out.most_common())
-        problem = f"{len(watcher.frames)} of its frames are usable, fewer than {rules.least_views} ({others})"
+        problem = f"{len(watcher.frames)} of its frames are usable, fewer than {_LEAST_VIEWS} ({others})"
         return problem, "give a longer flight where the build looked"
     if (found := scale_problem(watcher.recording, watcher.depth_ratios)) is None:
         return None
@@ -157,10 +160,8 @@ def _refusal(watcher: _Watcher, rules: UpdateRules) -> tuple[str, str] | None:
 class _Watcher:
     """Keeps the usable frames of a run; a :class:`monoloc.viz.viewer.Viewer`."""
 
-    def __init__(
-        self, bundle: Bundle, recording: Recording, is_sensor_depth: bool, known: frozenset[int], rules: UpdateRules
-    ) -> None:
-        self.recording, self._is_sensor_depth, self._rules = recording, is_sensor_depth, rules
+    def __init__(self, bundle: Bundle, recording: Recording, is_sensor_depth: bool, known: frozenset[int]) -> None:
+        self.recording, self._is_sensor_depth = recording, is_sensor_depth
         self._known = known | set(bundle.provenance.frames.values())
         self._landmarks, self._familiar_found = bundle.landmarks, bundle.integrity.familiar_found
         self._localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
@@ -233,7 +234,7 @@ class _Watcher:
         if not self.frames:
             return True
         last = self.frames[-1].pose
-        return float(pose_distance_m(last, pose[None])[0]) >= self._rules.apart_m
+        return float(pose_distance_m(last, pose[None])[0]) >= _APART_M
 
     def _is_witnessed(
         self,
@@ -253,9 +254,9 @@ class _Watcher:
             is_witness = ~_within(region, self._landmarks, visible)
         expected = is_witness & familiar[visible]
         found = np.count_nonzero(is_found & is_witness)
-        least_share = self._rules.least_familiar_share * self._familiar_found
+        least_share = _LEAST_FAMILIAR_SHARE * self._familiar_found
         return bool(
-            found >= self._rules.least_witnesses
+            found >= _LEAST_WITNESSES
             and np.count_nonzero(is_found & expected) >= least_share * np.count_nonzero(expected)
         )
 

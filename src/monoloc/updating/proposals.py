@@ -16,14 +16,15 @@ from monoloc.geometry import FloatArray
 from monoloc.map.occupancy import OCCUPIED, surface_voxels
 from monoloc.supervision.map_change import touching
 from monoloc.updating.room_evidence import Evidence, landmark_keys
-from monoloc.updating.surface_ageing import Cells, cells_of, is_among_cells
+from monoloc.updating.surface_ageing import VOXEL_M, Cells, cells_of, is_among_cells
 from monoloc.updating.tally import Tally
-from monoloc.updating.update_rules import UpdateRules
 
 ProposalKind = Literal["retire landmarks", "add landmarks", "remove surfaces", "add surfaces"]
 
 _REGION_M = 0.4  # cells whose touching ones make a region of landmarks
 _LEAST_POINTS = 10  # of a new surface
+_LEAST_VOXELS, _LEAST_LANDMARKS = 3, 5  # of a proposal; scattered landmarks are proposed together
+_MOST_LANDMARKS = 7500  # of a map, up to which new ones are added; in one that has more, as many as are retired
 
 
 @dataclass(frozen=True)
@@ -76,60 +77,59 @@ class Proposal:
         }
 
 
-def proposals(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> list[Proposal]:
+def proposals(evidence: Evidence, bundle: Bundle) -> list[Proposal]:
     """What the evidence proposes, those of most members first within each kind."""
     return [
-        *_retired(evidence, bundle, rules),
-        *_new_landmarks(evidence, bundle, rules),
-        *_gone_surfaces(evidence, bundle, rules),
-        *_new_surfaces(evidence, bundle, rules),
+        *_retired(evidence, bundle),
+        *_new_landmarks(evidence, bundle),
+        *_gone_surfaces(evidence, bundle),
+        *_new_surfaces(evidence, bundle),
     ]
 
 
-def _retired(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
-    chosen = np.flatnonzero(evidence.landmarks.is_proven(rules))
+def _retired(evidence: Evidence, bundle: Bundle) -> Iterator[Proposal]:
+    chosen = np.flatnonzero(evidence.landmarks.is_proven)
     points, keys = bundle.landmarks.points[chosen].astype(np.float64), landmark_keys(bundle.landmarks)[chosen]
-    for part in _landmark_regions(points, rules):
+    for part in _landmark_regions(points):
         yield _proposal("retire landmarks", keys[part], points[part], evidence.landmarks[chosen[part]])
 
 
-def _new_landmarks(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
+def _new_landmarks(evidence: Evidence, bundle: Bundle) -> Iterator[Proposal]:
     """The likeliest, as many as there is room for once the others are retired, or as are retired in a full map."""
     candidates = evidence.candidates
-    chosen = np.flatnonzero(candidates.tally.is_proven(rules))
-    retired = int(evidence.landmarks.is_proven(rules).sum())
-    room = max(0, rules.most_landmarks - len(bundle.landmarks)) + retired
+    chosen = np.flatnonzero(candidates.tally.is_proven)
+    retired = int(evidence.landmarks.is_proven.sum())
+    room = max(0, _MOST_LANDMARKS - len(bundle.landmarks)) + retired
     chosen = np.sort(chosen[np.argsort(-candidates.tally.log_odds[chosen], kind="stable")][:room])
     points = candidates.corners.points[chosen].astype(np.float64)
-    for part in _landmark_regions(points, rules):
+    for part in _landmark_regions(points):
         yield _proposal("add landmarks", chosen[part], points[part], candidates.tally[chosen[part]])
 
 
-def _gone_surfaces(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
-    surfaces = evidence.surfaces
-    chosen = np.flatnonzero(surfaces.gone_tally.is_proven(rules))
-    if not len(chosen):
+def _gone_surfaces(evidence: Evidence, bundle: Bundle) -> Iterator[Proposal]:
+    gone = evidence.surfaces.gone
+    gone = gone[gone.tally.is_proven]
+    if not len(gone):
         return
-    centres: FloatArray = np.asarray((surfaces.gone[chosen] + 0.5) * rules.voxel_m, dtype=np.float64)
-    is_there = surface_voxels(bundle.original, rules.voxel_m).at(centres) == OCCUPIED
-    chosen, centres = chosen[is_there], centres[is_there]
-    for part in _regions(surfaces.gone[chosen]):
-        if len(part) >= rules.least_voxels:
-            members = surfaces.gone[chosen[part]]
-            yield _proposal("remove surfaces", members, centres[part], surfaces.gone_tally[chosen[part]])
+    centres: FloatArray = np.asarray((gone.cells + 0.5) * VOXEL_M, dtype=np.float64)
+    is_there = surface_voxels(bundle.original, VOXEL_M).at(centres) == OCCUPIED
+    gone, centres = gone[is_there], centres[is_there]
+    for part in _regions(gone.cells):
+        if len(part) >= _LEAST_VOXELS:
+            yield _proposal("remove surfaces", gone.cells[part], centres[part], gone.tally[part])
 
 
-def _new_surfaces(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
-    surfaces = evidence.surfaces
-    chosen = np.flatnonzero(surfaces.new_tally.is_proven(rules))
-    points = surfaces.points.astype(np.float64)
+def _new_surfaces(evidence: Evidence, bundle: Bundle) -> Iterator[Proposal]:
+    new = evidence.surfaces.new
+    new = new[new.tally.is_proven]
+    points = evidence.surfaces.points.astype(np.float64)
     points = points[~known(bundle, points)]  # an edit may have added them since
-    cells = cells_of(points, rules)
-    for part in _regions(surfaces.new[chosen]):
-        members = surfaces.new[chosen[part]]
+    cells = cells_of(points)
+    for part in _regions(new.cells):
+        members = new.cells[part]
         cloud = points[is_among_cells(cells, members)]
-        if len(part) >= rules.least_voxels and len(cloud) >= _LEAST_POINTS:
-            yield _proposal("add surfaces", members, cloud, surfaces.new_tally[chosen[part]])
+        if len(part) >= _LEAST_VOXELS and len(cloud) >= _LEAST_POINTS:
+            yield _proposal("add surfaces", members, cloud, new.tally[part])
 
 
 def _proposal(kind: ProposalKind, members: NDArray[Any], points: FloatArray, tally: Tally) -> Proposal:
@@ -144,11 +144,11 @@ def _proposal(kind: ProposalKind, members: NDArray[Any], points: FloatArray, tal
     )
 
 
-def _landmark_regions(points: FloatArray, rules: UpdateRules) -> list[NDArray[np.int64]]:
+def _landmark_regions(points: FloatArray) -> list[NDArray[np.int64]]:
     """Indices of points (N, 3) by region, the largest first; those of small regions are the last."""
     parts = _regions(np.floor(points / _REGION_M).astype(np.int64))
-    large = [part for part in parts if len(part) >= rules.least_landmarks]
-    small = [part for part in parts if len(part) < rules.least_landmarks]
+    large = [part for part in parts if len(part) >= _LEAST_LANDMARKS]
+    small = [part for part in parts if len(part) < _LEAST_LANDMARKS]
     return [*large, np.concatenate(small)] if small else large
 
 

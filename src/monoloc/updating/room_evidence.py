@@ -23,9 +23,8 @@ from monoloc.files import write_whole
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.updating.landmark_ageing import Candidates, candidates_after, landmarks_after, without_known
 from monoloc.updating.observed_flight import ObservedFlight, views_of
-from monoloc.updating.surface_ageing import Surfaces, surfaces_after
+from monoloc.updating.surface_ageing import CountedVoxels, Surfaces, surfaces_after
 from monoloc.updating.tally import Tally
-from monoloc.updating.update_rules import UpdateRules
 
 _SCHEMA = 1
 _MOST_FRAMES, _MOST_FLIGHTS, _MOST_NAME = 20_000, 200, 80  # that are remembered, the newest
@@ -50,18 +49,15 @@ class Evidence:
     frames: tuple[int, ...] = ()
 
     @classmethod
-    def none(cls, bundle: Bundle, rules: UpdateRules) -> Evidence:
+    def none(cls, bundle: Bundle) -> Evidence:
         """Of a room in which nobody flew since it was built."""
-        return cls(
-            Tally.new(len(bundle.landmarks), rules), Candidates.none(views_of(bundle), rules), Surfaces.none(rules)
-        )
+        return cls(Tally.new(len(bundle.landmarks)), Candidates.none(views_of(bundle)), Surfaces.none())
 
     def after_flight(
         self,
         bundle: Bundle,
         flight: ObservedFlight,
         is_sensor_depth: bool,
-        rules: UpdateRules,
         rng: np.random.Generator,
     ) -> Evidence:
         """With what a flight showed; the same if nothing may be learned from it."""
@@ -69,9 +65,9 @@ class Evidence:
             return self
         model = bundle.integrity
         return Evidence(
-            landmarks_after(self.landmarks, bundle.landmarks, flight, model, rules),
-            candidates_after(self.candidates, bundle.landmarks, flight, is_sensor_depth, model, rules),
-            surfaces_after(self.surfaces, bundle, flight, rules, rng),
+            landmarks_after(self.landmarks, bundle.landmarks, flight, model),
+            candidates_after(self.candidates, bundle.landmarks, flight, is_sensor_depth, model),
+            surfaces_after(self.surfaces, bundle, flight, rng),
             (*self.flights, flight.name)[-_MOST_FLIGHTS:],
             (*self.frames, *(frame.checksum for frame in flight.frames))[-_MOST_FRAMES:],
         )
@@ -97,10 +93,10 @@ def write_evidence(path: Path, evidence: Evidence, bundle: Bundle) -> int:
         **evidence.landmarks.to_arrays("landmark_"),
         **{f"corner_{name}": array for name, array in evidence.candidates.corners.to_arrays().items()},
         **evidence.candidates.tally.to_arrays("candidate_"),
-        "gone": evidence.surfaces.gone.astype(np.int32),
-        **evidence.surfaces.gone_tally.to_arrays("gone_"),
-        "new": evidence.surfaces.new.astype(np.int32),
-        **evidence.surfaces.new_tally.to_arrays("new_"),
+        "gone": evidence.surfaces.gone.cells.astype(np.int32),
+        **evidence.surfaces.gone.tally.to_arrays("gone_"),
+        "new": evidence.surfaces.new.cells.astype(np.int32),
+        **evidence.surfaces.new.tally.to_arrays("new_"),
         "new_points": evidence.surfaces.points,
         "flights": np.array([name[:_MOST_NAME] for name in evidence.flights], dtype=f"<U{_MOST_NAME}"),
         "frames": np.array(evidence.frames, dtype=np.uint32),
@@ -110,14 +106,14 @@ def write_evidence(path: Path, evidence: Evidence, bundle: Bundle) -> int:
     return len(content)
 
 
-def read_evidence(path: Path, bundle: Bundle, rules: UpdateRules) -> Evidence:
+def read_evidence(path: Path, bundle: Bundle) -> Evidence:
     """The evidence of a bundle, as far as it still holds; none where there is no file.
 
     Raises:
         DataError: the file is damaged, or that of another room.
     """
     if not path.exists():
-        return Evidence.none(bundle, rules)
+        return Evidence.none(bundle)
     fix = "remove it, or put it beside its own bundle"
     try:
         arrays = read_arrays(path)
@@ -125,7 +121,7 @@ def read_evidence(path: Path, bundle: Bundle, rules: UpdateRules) -> Evidence:
             raise ValueError(f"schema {arrays['schema'].tolist()}")
         if arrays["room"].tolist() != [_room(bundle)]:
             raise DataError(path, "is the evidence of another room", fix)
-        return _decoded(arrays, bundle, rules)
+        return _decoded(arrays, bundle)
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror})", fix) from error
     except (KeyError, ValueError, TypeError, IndexError) as error:
@@ -139,29 +135,31 @@ def landmark_keys(landmarks: Landmarks) -> NDArray[np.uint64]:
     return np.frombuffer(digests, np.uint64)
 
 
-def realigned(tally: Tally, keys: NDArray[np.uint64], landmarks: Landmarks, rules: UpdateRules) -> Tally:
+def realigned(tally: Tally, keys: NDArray[np.uint64], landmarks: Landmarks) -> Tally:
     """The tally of L landmarks, from that of landmarks with keys (N,); of those that it lacks nothing was seen."""
     places = {key: place for place, key in enumerate(keys.tolist())}
     where = np.array([places.get(key, -1) for key in landmark_keys(landmarks).tolist()], dtype=np.int64)
-    return (tally + Tally.new(1, rules))[where]
+    return (tally + Tally.new(1))[where]
 
 
-def _decoded(arrays: Mapping[str, NDArray[Any]], bundle: Bundle, rules: UpdateRules) -> Evidence:
-    cells = [arrays[name].astype(np.int64).reshape(-1, 3) for name in ("gone", "new")]
-    tallies = [Tally.from_arrays(arrays, name) for name in ("gone_", "new_")]
+def _decoded(arrays: Mapping[str, NDArray[Any]], bundle: Bundle) -> Evidence:
+    gone, new = (
+        CountedVoxels(arrays[name].astype(np.int64).reshape(-1, 3), Tally.from_arrays(arrays, f"{name}_"))
+        for name in ("gone", "new")
+    )
     points = arrays["new_points"].astype(np.float32).reshape(-1, 3)
-    if [len(each) for each in cells] != [len(each) for each in tallies] or not np.isfinite(points).all():
+    if any(len(each.cells) != len(each.tally) for each in (gone, new)) or not np.isfinite(points).all():
         raise ValueError("voxels and their counts differ in number, or points are not finite")
     return Evidence(
-        realigned(Tally.from_arrays(arrays, "landmark_"), arrays["keys"], bundle.landmarks, rules),
-        _candidates(arrays, bundle, rules),
-        Surfaces(cells[0], tallies[0], cells[1], tallies[1], points),
+        realigned(Tally.from_arrays(arrays, "landmark_"), arrays["keys"], bundle.landmarks),
+        _candidates(arrays, bundle),
+        Surfaces(gone, new, points),
         tuple(map(str, arrays["flights"].tolist())),
         tuple(map(int, arrays["frames"].tolist())),
     )
 
 
-def _candidates(arrays: Mapping[str, NDArray[Any]], bundle: Bundle, rules: UpdateRules) -> Candidates:
+def _candidates(arrays: Mapping[str, NDArray[Any]], bundle: Bundle) -> Candidates:
     """The candidates, seen from the views that the bundle has now; none where its views are others."""
     corners = Landmarks.from_arrays({name.removeprefix("corner_"): array for name, array in arrays.items()})
     tally = Tally.from_arrays(arrays, "candidate_")
@@ -170,7 +168,7 @@ def _candidates(arrays: Mapping[str, NDArray[Any]], bundle: Bundle, rules: Updat
         raise ValueError("corners and their counts differ in number")
     count = min(len(views.poses), len(now.poses))
     if not np.allclose(views.poses[:count], now.poses[:count], atol=1e-5):
-        return Candidates.none(now, rules)
+        return Candidates.none(now)
     found = np.zeros((len(now.poses), len(corners)), dtype=np.bool_)
     found[:count] = views.found[:count]
     corners = replace(corners, views=LandmarkViews(now.poses, found))

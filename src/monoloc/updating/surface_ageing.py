@@ -7,6 +7,7 @@ not speak against it, as it would where all voxels along the ray are counted as 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,6 @@ from monoloc.map.depth_rendering import cloud_depth, point_spacing_m
 from monoloc.map.surface import surface_points
 from monoloc.updating.observed_flight import ObservedFlight, UsableFrame
 from monoloc.updating.tally import Tally, bernoulli_nats
-from monoloc.updating.update_rules import UpdateRules
 
 _COLUMNS = 80  # of the images that are compared
 _MAP_POINTS = 100_000  # from which the map's depth is rendered
@@ -31,7 +31,55 @@ _EDGE = np.ones((5, 5), dtype=np.uint8)  # pixels within which the nearest and t
 _LEAST_PIXELS = 2  # of a voxel in a view
 _MOST_POINTS, _MOST_CELLS = 40_000, 20_000  # that are kept
 
+_GONE_SEEN, _THERE_SEEN = np.asarray(0.8), np.asarray(0.05)  # share of views in which a voxel looks gone, if it is
+_MOST_POINT_SD_M = 0.1  # of a depth point that may show a new surface
+
+VOXEL_M = 0.15
+"""Edge of the voxels in which surfaces are counted."""
+
 Cells = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class CountedVoxels:
+    """Voxels, and what flights said of a change of each.
+
+    Attributes:
+        cells: (N, 3), in units of their edge from the world's origin.
+        tally: of N changes.
+    """
+
+    cells: Cells
+    tally: Tally
+
+    @classmethod
+    def none(cls) -> CountedVoxels:
+        return cls(np.zeros((0, 3), dtype=np.int64), Tally.new(0))
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def __getitem__(self, chosen: NDArray[Any]) -> CountedVoxels:
+        return CountedVoxels(self.cells[chosen], self.tally[chosen])
+
+    def without(self, others: Cells) -> CountedVoxels:
+        """Those that are none of some others."""
+        return self[~is_among_cells(self.cells, others)]
+
+    def with_first(self, seen: Cells) -> CountedVoxels:
+        """With those seen voxels (M, 3) that a flight is the first to name."""
+        first = seen[~is_among_cells(seen, self.cells)]
+        return CountedVoxels(np.concatenate([self.cells, first]), self.tally + Tally.new(len(first)))
+
+    def after_flight(self, changed: NDArray[np.int64], unchanged: NDArray[np.int64]) -> CountedVoxels:
+        """After a flight with so many views of each voxel, (N,), that speak for its change, and against it."""
+        expected = changed + unchanged
+        nats = bernoulli_nats(expected, changed, _GONE_SEEN, _THERE_SEEN)
+        return CountedVoxels(self.cells, self.tally.after_flight(expected, changed, nats))
+
+    def still_open(self) -> CountedVoxels:
+        """Those for whose change anything speaks, at most the newest."""
+        return self[np.flatnonzero(self.tally.is_above_prior)[-_MOST_CELLS:]]
 
 
 @dataclass(frozen=True)
@@ -39,32 +87,21 @@ class Surfaces:
     """Evidence of changed surfaces.
 
     Attributes:
-        gone, new: voxels, (N, 3) and (M, 3), in units of the rules' edge from the world's origin.
-        gone_tally, new_tally: of their being gone, and of their being new.
+        gone, new: voxels that may be gone, and that may be new.
         points: of new surfaces, (P, 3) float32, world frame, metres.
     """
 
-    gone: Cells
-    gone_tally: Tally
-    new: Cells
-    new_tally: Tally
+    gone: CountedVoxels
+    new: CountedVoxels
     points: NDArray[np.float32]
 
     @classmethod
-    def none(cls, rules: UpdateRules) -> Surfaces:
-        cells, tally = np.zeros((0, 3), dtype=np.int64), Tally.new(0, rules)
-        return cls(cells, tally, cells, tally, np.zeros((0, 3), dtype=np.float32))
+    def none(cls) -> Surfaces:
+        return cls(CountedVoxels.none(), CountedVoxels.none(), np.zeros((0, 3), dtype=np.float32))
 
     def without(self, gone: Cells, new: Cells) -> Surfaces:
         """Without what was counted of some voxels, which have been dealt with."""
-        gone_kept, new_kept = ~is_among_cells(self.gone, gone), ~is_among_cells(self.new, new)
-        return replace(
-            self,
-            gone=self.gone[gone_kept],
-            gone_tally=self.gone_tally[gone_kept],
-            new=self.new[new_kept],
-            new_tally=self.new_tally[new_kept],
-        )
+        return replace(self, gone=self.gone.without(gone), new=self.new.without(new))
 
 
 @dataclass(frozen=True)
@@ -83,38 +120,28 @@ class _View:
     points: FloatArray
 
 
-def surfaces_after(
-    surfaces: Surfaces, bundle: Bundle, flight: ObservedFlight, rules: UpdateRules, rng: np.random.Generator
-) -> Surfaces:
+def surfaces_after(surfaces: Surfaces, bundle: Bundle, flight: ObservedFlight, rng: np.random.Generator) -> Surfaces:
     """Evidence of changed surfaces, after a flight."""
     seeing = [frame for frame in flight.frames if frame.depth is not None]
     if not seeing:
         return surfaces
     cloud = surface_points(bundle.original, _MAP_POINTS, rng)
     spacing_m = point_spacing_m(cloud)
-    views = [_view(frame, flight, cloud, spacing_m, rules) for frame in seeing]
-    gone, through = _counted([view.gone for view in views])
-    surfaces = _with_cells(surfaces, gone, _counted([view.hit for view in views])[0], rules)
-    seen_kept = _counts_of(surfaces.gone, *_counted([view.kept for view in views]))
-    seen_gone = _counts_of(surfaces.gone, gone, through)
-    hits = _counts_of(surfaces.new, *_counted([view.hit for view in views]))
-    free = np.sum([_looks_through(frame, flight, surfaces.new, rules) for frame in seeing], axis=0)
-    points = [surfaces.points.astype(np.float64), *(view.points for view in views)]
-    return _bounded(
-        Surfaces(
-            surfaces.gone,
-            _after(surfaces.gone_tally, seen_gone, seen_kept, rules),
-            surfaces.new,
-            _after(surfaces.new_tally, hits, free, rules),
-            _thinned(np.concatenate(points), bundle),
-        ),
-        rules,
-    )
+    views = [_view(frame, flight, cloud, spacing_m) for frame in seeing]
+    seen_gone, seen_kept = _counted([view.gone for view in views]), _counted([view.kept for view in views])
+    hits = _counted([view.hit for view in views])
+    gone, new = surfaces.gone.with_first(seen_gone[0]), surfaces.new.with_first(hits[0])
+    looked_through = np.sum([_looks_through(frame, flight, new.cells) for frame in seeing], axis=0)
+    gone = gone.after_flight(_counts_of(gone.cells, *seen_gone), _counts_of(gone.cells, *seen_kept)).still_open()
+    new = new.after_flight(_counts_of(new.cells, *hits), looked_through).still_open()
+    points = _thinned(np.concatenate([surfaces.points.astype(np.float64), *(view.points for view in views)]), bundle)
+    is_kept = is_among_cells(cells_of(points.astype(np.float64)), new.cells)
+    return Surfaces(gone, new, points[is_kept])
 
 
-def cells_of(points: FloatArray, rules: UpdateRules) -> Cells:
+def cells_of(points: FloatArray) -> Cells:
     """Voxels of points (N, 3), world frame."""
-    return np.asarray(np.floor(points / rules.voxel_m), dtype=np.int64)
+    return np.asarray(np.floor(points / VOXEL_M), dtype=np.int64)
 
 
 def is_among_cells(cells: Cells, others: Cells) -> NDArray[np.bool_]:
@@ -123,15 +150,7 @@ def is_among_cells(cells: Cells, others: Cells) -> NDArray[np.bool_]:
     return np.array([tuple(cell) in among for cell in cells.tolist()], dtype=np.bool_)
 
 
-def _after(tally: Tally, changed: NDArray[np.int64], unchanged: NDArray[np.int64], rules: UpdateRules) -> Tally:
-    expected = changed + unchanged
-    rates = np.asarray(rules.gone_seen), np.asarray(rules.there_seen)
-    return tally.after_flight(expected, changed, bernoulli_nats(expected, changed, *rates), rules)
-
-
-def _view(
-    frame: UsableFrame, flight: ObservedFlight, cloud: FloatArray, spacing_m: float, rules: UpdateRules
-) -> _View:
+def _view(frame: UsableFrame, flight: ObservedFlight, cloud: FloatArray, spacing_m: float) -> _View:
     camera, measured, nearest, farthest = _compared(frame)
     mapped = cloud_depth(cloud, camera, frame.pose, spacing_m)
     map_nearest, map_farthest = _range(mapped)
@@ -139,12 +158,12 @@ def _view(
     error_m = flight.error_m(measured.astype(np.float64))
     is_gone = is_known & (nearest - map_farthest > _SURE_SD * error_m)
     is_kept = is_known & (np.abs(measured - mapped) <= _SURE_SD * error_m)
-    is_new = is_known & (map_nearest - farthest > _SURE_SD * error_m) & (error_m <= rules.most_point_sd_m)
-    gone = _cells_with(cells_of(_points(frame, camera, mapped, is_gone), rules))
-    kept = _cells_with(cells_of(_points(frame, camera, mapped, is_kept), rules))
+    is_new = is_known & (map_nearest - farthest > _SURE_SD * error_m) & (error_m <= _MOST_POINT_SD_M)
+    gone = _cells_with(cells_of(_points(frame, camera, mapped, is_gone)))
+    kept = _cells_with(cells_of(_points(frame, camera, mapped, is_kept)))
     points = _points(frame, camera, measured, is_new)
     # A voxel that is partly seen stands.
-    return _View(gone[~is_among_cells(gone, kept)], kept, _cells_with(cells_of(points, rules)), points)
+    return _View(gone[~is_among_cells(gone, kept)], kept, _cells_with(cells_of(points)), points)
 
 
 def _compared(
@@ -190,23 +209,10 @@ def _counts_of(cells: Cells, counted: Cells, counts: NDArray[np.int64]) -> NDArr
     return np.array([table.get(tuple(cell), 0) for cell in cells.tolist()], dtype=np.int64)
 
 
-def _with_cells(surfaces: Surfaces, gone: Cells, new: Cells, rules: UpdateRules) -> Surfaces:
-    """With voxels that a flight is the first to name."""
-    gone = gone[~is_among_cells(gone, surfaces.gone)]
-    new = new[~is_among_cells(new, surfaces.new)]
-    return replace(
-        surfaces,
-        gone=np.concatenate([surfaces.gone, gone]),
-        gone_tally=surfaces.gone_tally + Tally.new(len(gone), rules),
-        new=np.concatenate([surfaces.new, new]),
-        new_tally=surfaces.new_tally + Tally.new(len(new), rules),
-    )
-
-
-def _looks_through(frame: UsableFrame, flight: ObservedFlight, cells: Cells, rules: UpdateRules) -> NDArray[np.int64]:
+def _looks_through(frame: UsableFrame, flight: ObservedFlight, cells: Cells) -> NDArray[np.int64]:
     """Whether a frame sees only what is behind each of N voxels, (N,)."""
     camera, _, nearest, _ = _compared(frame)
-    centres = transform(invert(frame.pose), (cells + 0.5) * rules.voxel_m)
+    centres = transform(invert(frame.pose), (cells + 0.5) * VOXEL_M)
     result = np.zeros(len(cells), dtype=np.int64)
     seen = np.flatnonzero(camera.in_sight(centres))
     pixels = np.rint(camera.project(centres[seen])).astype(np.int64)
@@ -214,7 +220,7 @@ def _looks_through(frame: UsableFrame, flight: ObservedFlight, cells: Cells, rul
     seen, (u, v) = seen[inside], pixels[inside].T
     behind_m = nearest[v, u] - centres[seen, 2]
     result[seen] = (nearest[v, u] > 0.0) & (
-        behind_m > _SURE_SD * flight.error_m(nearest[v, u].astype(np.float64)) + rules.voxel_m
+        behind_m > _SURE_SD * flight.error_m(nearest[v, u].astype(np.float64)) + VOXEL_M
     )
     return result
 
@@ -223,17 +229,3 @@ def _thinned(points: FloatArray, bundle: Bundle) -> NDArray[np.float32]:
     """Points that the map does not know, one a voxel of its cloud."""
     thin = voxel_thin(points, cloud_of(bundle).voxel_m)
     return np.asarray(thin[~known(bundle, thin)][-_MOST_POINTS:], dtype=np.float32)
-
-
-def _bounded(surfaces: Surfaces, rules: UpdateRules) -> Surfaces:
-    """Without voxels of which nothing speaks for a change any more, and of points only those in a new voxel."""
-    gone = np.flatnonzero(surfaces.gone_tally.is_above_prior(rules))[-_MOST_CELLS:]
-    new = np.flatnonzero(surfaces.new_tally.is_above_prior(rules))[-_MOST_CELLS:]
-    kept = is_among_cells(cells_of(surfaces.points.astype(np.float64), rules), surfaces.new[new])
-    return Surfaces(
-        surfaces.gone[gone],
-        surfaces.gone_tally[gone],
-        surfaces.new[new],
-        surfaces.new_tally[new],
-        surfaces.points[kept],
-    )

@@ -10,8 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
-from monoloc.updating.update_rules import UpdateRules
 
+PRIOR_ODDS = 0.01
+"""That one landmark or voxel has changed, before anything was seen."""
+
+MOST_NATS = 4.0
+"""Evidence that one flight may give, so that no single flight decides."""
+
+_LEAST_FLIGHTS, _LEAST_ODDS = 2, 10.0  # in a row that must show a change, and its odds, for it to be proposed
 _MOST_COUNT = 60_000  # of views
 _NAMES = ("log_odds", "expected", "agreeing", "flights")
 
@@ -34,10 +40,10 @@ class Tally:
     flights: NDArray[np.int64]
 
     @classmethod
-    def new(cls, count: int, rules: UpdateRules) -> Tally:
+    def new(cls, count: int) -> Tally:
         """Of things of which nothing was seen."""
         zeros = np.zeros(count, dtype=np.int64)
-        return cls(np.full(count, np.log(rules.prior_odds), dtype=np.float32), zeros, zeros, zeros)
+        return cls(np.full(count, np.log(PRIOR_ODDS), dtype=np.float32), zeros, zeros, zeros)
 
     def __len__(self) -> int:
         return len(self.log_odds)
@@ -52,33 +58,33 @@ class Tally:
     def odds(self) -> FloatArray:
         return np.exp(self.log_odds.astype(np.float64))
 
-    def after_flight(
-        self, expected: NDArray[np.int64], agreeing: NDArray[np.int64], nats: FloatArray, rules: UpdateRules
-    ) -> Tally:
+    def after_flight(self, expected: NDArray[np.int64], agreeing: NDArray[np.int64], nats: FloatArray) -> Tally:
         """The tally after one more flight.
 
         Args:
             expected, agreeing: views of the flight, (N,) each.
             nats: evidence that they give for the change, (N,); what one flight gives is bounded.
         """
-        prior = np.log(rules.prior_odds)
-        log_odds = np.maximum(prior, self.log_odds + np.clip(nats, -rules.most_nats, rules.most_nats))
+        prior = np.log(PRIOR_ODDS)
+        log_odds = np.maximum(prior, self.log_odds + np.clip(nats, -MOST_NATS, MOST_NATS))
         is_anew = (log_odds <= prior) & (expected > 0)
         flights = np.where(nats > 0.0, self.flights + 1, np.where(nats < 0.0, 0, self.flights))
         expected, agreeing = (
             np.where(is_anew, 0, np.minimum(before + more, _MOST_COUNT))
             for before, more in ((self.expected, expected), (self.agreeing, agreeing))
         )
-        ceiling = np.log(rules.least_odds) + rules.most_nats
+        ceiling = np.log(_LEAST_ODDS) + MOST_NATS
         return Tally(np.minimum(log_odds, ceiling).astype(np.float32), expected, agreeing, flights)
 
-    def is_proven(self, rules: UpdateRules) -> NDArray[np.bool_]:
+    @property
+    def is_proven(self) -> NDArray[np.bool_]:
         """Whether the change of each thing may be proposed, (N,)."""
-        return np.asarray((self.log_odds >= np.log(rules.least_odds)) & (self.flights >= rules.least_flights))
+        return np.asarray((self.log_odds >= np.log(_LEAST_ODDS)) & (self.flights >= _LEAST_FLIGHTS))
 
-    def is_above_prior(self, rules: UpdateRules) -> NDArray[np.bool_]:
+    @property
+    def is_above_prior(self) -> NDArray[np.bool_]:
         """Whether anything speaks for the change of each thing, (N,); the odds fall no lower than the prior."""
-        return np.asarray(self.log_odds > np.float32(np.log(rules.prior_odds)))
+        return np.asarray(self.log_odds > np.float32(np.log(PRIOR_ODDS)))
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         return {

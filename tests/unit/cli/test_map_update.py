@@ -22,7 +22,7 @@ from monoloc.updating.proposals import proposals
 from monoloc.updating.room_evidence import Evidence, write_evidence
 from monoloc.updating.tally import Tally
 from synthetic_room import SMALL_CAMERA, write_recording
-from update_helpers import LEFT, RULES, flight, mapped
+from update_helpers import LEFT, flight, mapped
 
 UPDATE = ("map", "update", "room.monoloc")
 
@@ -41,10 +41,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_bundle(tmp_path / "room.monoloc", mapped())
     missed = is_missed()
     views = np.where(missed, 10, 0)
-    tally = Tally.new(len(missed), RULES)
+    tally = Tally.new(len(missed))
     for _ in range(2):
-        tally = tally.after_flight(views, views, np.where(missed, np.inf, 0.0), RULES)
-    evidence = replace(Evidence.none(mapped(), RULES), landmarks=tally, flights=("monday", "tuesday"))
+        tally = tally.after_flight(views, views, np.where(missed, np.inf, 0.0))
+    evidence = replace(Evidence.none(mapped()), landmarks=tally, flights=("monday", "tuesday"))
     write_evidence(tmp_path / "room.evidence.npz", evidence, mapped())
     return tmp_path
 

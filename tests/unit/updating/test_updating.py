@@ -27,21 +27,23 @@ from monoloc.updating.room_evidence import (
     read_evidence,
     write_evidence,
 )
+from monoloc.updating.surface_ageing import VOXEL_M
+from monoloc.updating.tally import PRIOR_ODDS
 from refusals import refuses_data
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
-from update_helpers import LEFT, RULES, evidence_of, flight, mapped, observed
+from update_helpers import LEFT, evidence_of, flight, mapped, observed
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def proposed(evidence: Evidence, kind: str) -> list[Proposal]:
-    return [each for each in proposals(evidence, mapped(), RULES) if each.kind == kind]
+    return [each for each in proposals(evidence, mapped()) if each.kind == kind]
 
 
 def updated() -> tuple[Bundle, Evidence]:
     evidence = evidence_of(1, 2)
-    every = proposals(evidence, mapped(), RULES)
-    return applied(mapped(), evidence, every, RULES, np.random.default_rng(0))
+    every = proposals(evidence, mapped())
+    return applied(mapped(), evidence, every, np.random.default_rng(0))
 
 
 def test_two_flights_find_what_is_gone_and_what_is_new() -> None:
@@ -61,15 +63,15 @@ def test_two_flights_find_what_is_gone_and_what_is_new() -> None:
 
 def test_a_proposal_keeps_its_id_in_the_file_and_when_others_are_applied(tmp_path: Path) -> None:
     evidence = evidence_of(1, 2)
-    every = proposals(evidence, mapped(), RULES)
+    every = proposals(evidence, mapped())
     ids = [each.id for each in every]
     assert len(set(ids)) == len(ids) >= 4
     write_evidence(tmp_path / "room.evidence.npz", evidence, mapped())
-    read = read_evidence(tmp_path / "room.evidence.npz", mapped(), RULES)
-    assert [each.id for each in proposals(read, mapped(), RULES)] == ids
+    read = read_evidence(tmp_path / "room.evidence.npz", mapped())
+    assert [each.id for each in proposals(read, mapped())] == ids
     for number, chosen in enumerate(every):
-        bundle, left = applied(mapped(), evidence, [chosen], RULES, np.random.default_rng(0))
-        others = [each.id for each in proposals(left, bundle, RULES)]
+        bundle, left = applied(mapped(), evidence, [chosen], np.random.default_rng(0))
+        others = [each.id for each in proposals(left, bundle)]
         assert others == ids[:number] + ids[number + 1 :]
 
 
@@ -77,17 +79,18 @@ def test_what_an_edit_has_added_meanwhile_is_not_proposed_again() -> None:
     evidence = evidence_of(1, 2)
     (new,) = proposed(evidence, "add surfaces")
     edited = add(mapped(), new.points, {}, np.random.default_rng(0))
-    others = [each.id for each in proposals(evidence, mapped(), RULES) if each.kind != "add surfaces"]
-    assert [each.id for each in proposals(evidence, edited, RULES)] == others
+    others = [each.id for each in proposals(evidence, mapped()) if each.kind != "add surfaces"]
+    assert [each.id for each in proposals(evidence, edited)] == others
 
 
-def test_a_full_map_gets_as_many_landmarks_as_are_retired() -> None:
+def test_a_full_map_gets_as_many_landmarks_as_are_retired(monkeypatch: pytest.MonkeyPatch) -> None:
     """As one that was extended or merged."""
-    evidence, rules = evidence_of(1, 2), RULES.model_copy(update={"most_landmarks": 1})
+    evidence = evidence_of(1, 2)
+    monkeypatch.setattr("monoloc.updating.proposals._MOST_LANDMARKS", 1)
     counts = {"retire landmarks": 0, "add landmarks": 0}
-    for each in proposals(evidence, mapped(), rules):
+    for each in proposals(evidence, mapped()):
         counts[each.kind] = counts.get(each.kind, 0) + len(each.members)
-    proven = int(evidence.candidates.tally.is_proven(RULES).sum())
+    proven = int(evidence.candidates.tally.is_proven.sum())
     assert counts["add landmarks"] == min(proven, counts["retire landmarks"]) > 0
 
 
@@ -95,25 +98,25 @@ def test_candidates_that_the_next_flight_does_not_find_again_are_given_up() -> N
     """The box stood elsewhere for one flight only."""
     first = evidence_of(1).candidates
     back = observed(flight(2, Room()))
-    second = evidence_of(1).after_flight(mapped(), back, True, RULES, np.random.default_rng(0)).candidates
+    second = evidence_of(1).after_flight(mapped(), back, True, np.random.default_rng(0)).candidates
     again = {point.tobytes() for point in second.corners.points}
     kept = sum(point.tobytes() in again for point in first.corners.points)
     assert 0 < kept < 0.5 * len(first)
-    assert second.tally.odds.min() > 1.01 * RULES.prior_odds
+    assert second.tally.odds.min() > 1.01 * PRIOR_ODDS
 
 
 @pytest.mark.slow
 def test_one_flight_proposes_nothing_and_an_unchanged_room_loses_nothing() -> None:
-    assert proposals(evidence_of(1), mapped(), RULES) == []
+    assert proposals(evidence_of(1), mapped()) == []
     unchanged = evidence_of(1, 2, room=Room())
-    kinds = {each.kind for each in proposals(unchanged, mapped(), RULES)}
+    kinds = {each.kind for each in proposals(unchanged, mapped())}
     assert kinds <= {"add landmarks"}
 
 
 def test_an_update_is_edits_that_can_be_undone() -> None:
     bundle, left = updated()
     assert [edit.record.kind for edit in bundle.edits] == ["update"] * len(bundle.edits)
-    assert proposals(left, bundle, RULES) == []
+    assert proposals(left, bundle) == []
     views = bundle.landmarks.views
     assert views is not None
     added = ~np.isin(landmark_keys(bundle.landmarks), landmark_keys(mapped().landmarks))
@@ -132,8 +135,8 @@ def test_a_removal_of_next_to_nothing_of_the_map_does_not_stop_an_update() -> No
     wall = GaussianMixture(np.ones(1), np.zeros((1, 3)), np.diag([4.0, 4.0, 1e-4])[None])
     room = replace(mapped(), original=wall, adapted=wall)
     voxels = np.array([[8, 8, 0], [9, 8, 0], [10, 8, 0]])
-    gone = Proposal("remove surfaces", voxels, (voxels + 0.5) * RULES.voxel_m, 2, 5.0, 5.0, 30.0)
-    bundle, _ = applied(room, Evidence.none(room, RULES), [gone], RULES, np.random.default_rng(0))
+    gone = Proposal("remove surfaces", voxels, (voxels + 0.5) * VOXEL_M, 2, 5.0, 5.0, 30.0)
+    bundle, _ = applied(room, Evidence.none(room), [gone], np.random.default_rng(0))
     assert bundle.original is wall and len(bundle.edits) == 1
 
 
@@ -141,8 +144,8 @@ def test_an_update_of_an_extended_map_keeps_the_names_of_its_recordings() -> Non
     evidence, provenance = evidence_of(1, 2), mapped().provenance
     room = replace(mapped(), provenance=with_frames(provenance, "second walk", {"0": 1}))
     names = f"{provenance.recording} + second walk"
-    every = proposals(evidence, room, RULES)
-    bundle, _ = applied(room, evidence, every, RULES, np.random.default_rng(0))
+    every = proposals(evidence, room)
+    bundle, _ = applied(room, evidence, every, np.random.default_rng(0))
     assert len(bundle.edits) >= 4 and room.provenance.recording == bundle.provenance.recording == names
 
 
@@ -159,7 +162,7 @@ def test_the_updated_map_finds_again_what_the_old_one_missed() -> None:
 def test_a_flight_counts_once() -> None:
     again = observed(flight(1), known=frozenset(evidence_of(1).frames))
     assert again.refusal is not None and "counted before" in again.refusal
-    assert evidence_of(1).after_flight(mapped(), again, True, RULES, np.random.default_rng(0)) is evidence_of(1)
+    assert evidence_of(1).after_flight(mapped(), again, True, np.random.default_rng(0)) is evidence_of(1)
 
 
 def test_a_flight_whose_depth_is_in_another_unit_is_refused() -> None:
@@ -178,16 +181,16 @@ def test_a_flight_that_hardly_moves_is_refused_and_is_told_why() -> None:
 
 def test_an_update_is_taken_back_to_the_bit(tmp_path: Path) -> None:
     room, evidence = written(mapped(), tmp_path), evidence_of(1, 2)
-    for proposal in {each.kind: each for each in proposals(evidence, room, RULES)}.values():
-        bundle, _ = applied(room, evidence, [proposal], RULES, np.random.default_rng(0))
+    for proposal in {each.kind: each for each in proposals(evidence, room)}.values():
+        bundle, _ = applied(room, evidence, [proposal], np.random.default_rng(0))
         assert digest_without_last_edit(bundle, tmp_path) == digest(room, tmp_path)
 
 
 def test_a_flight_in_another_room_is_refused() -> None:
     elsewhere = observed(RoomRecording(Room(7, 1.4), make_path(16, 0.05, 8.0), SMALL_CAMERA))
     assert elsewhere.refusal is not None
-    evidence = Evidence.none(mapped(), RULES)
-    assert evidence.after_flight(mapped(), elsewhere, True, RULES, np.random.default_rng(0)) is evidence
+    evidence = Evidence.none(mapped())
+    assert evidence.after_flight(mapped(), elsewhere, True, np.random.default_rng(0)) is evidence
 
 
 def test_evidence_comes_back_and_follows_the_landmarks(tmp_path: Path) -> None:
@@ -195,16 +198,16 @@ def test_evidence_comes_back_and_follows_the_landmarks(tmp_path: Path) -> None:
     assert path.name == "room.evidence.npz"
     evidence = evidence_of(1)
     assert write_evidence(path, evidence, mapped()) < 200_000
-    same = read_evidence(path, mapped(), RULES)
+    same = read_evidence(path, mapped())
     np.testing.assert_array_equal(same.landmarks.log_odds, evidence.landmarks.log_odds)
-    np.testing.assert_array_equal(same.surfaces.new, evidence.surfaces.new)
+    np.testing.assert_array_equal(same.surfaces.new.cells, evidence.surfaces.new.cells)
     assert (same.flights, same.frames, len(same.candidates)) == (
         evidence.flights,
         evidence.frames,
         len(evidence.candidates),
     )
     bundle, _ = updated()  # after an edit that took landmarks away and added others
-    followed = read_evidence(path, bundle, RULES)
+    followed = read_evidence(path, bundle)
     kept = np.isin(landmark_keys(bundle.landmarks), landmark_keys(mapped().landmarks))
     assert len(followed.landmarks) == len(bundle.landmarks)
     assert np.all(followed.landmarks.flights[~kept] == 0)
@@ -212,12 +215,12 @@ def test_evidence_comes_back_and_follows_the_landmarks(tmp_path: Path) -> None:
 
 def test_damaged_and_foreign_evidence_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "room.evidence.npz"
-    write_evidence(path, Evidence.none(mapped(), RULES), mapped())
+    write_evidence(path, Evidence.none(mapped()), mapped())
     provenance = mapped().provenance.model_copy(update={"seed": 5})
     other = replace(mapped(), provenance=provenance)
-    refuses_data(lambda: read_evidence(path, other, RULES), path, "evidence of another room", "its own bundle")
+    refuses_data(lambda: read_evidence(path, other), path, "evidence of another room", "its own bundle")
     path.write_bytes(path.read_bytes()[:-40])
-    refuses_data(lambda: read_evidence(path, mapped(), RULES), path, "holds no evidence", "remove it")
+    refuses_data(lambda: read_evidence(path, mapped()), path, "holds no evidence", "remove it")
 
 
 def test_a_bundle_without_views_cannot_be_updated() -> None:
