@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from monoloc_lab.experiments import tasks as factories
-from monoloc_lab.experiments.comparison import Case, compare
-from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import DARK, network_of, seeds_of, usual_light
+from monoloc_lab.experiments.comparison import Case, comparison
+from monoloc_lab.experiments.gather import DARK, network_of, usual_light
 from monoloc_lab.experiments.study import Split, Study
-from monoloc_lab.experiments.task import Results, Task
+from monoloc_lab.experiments.task import Task
 
 
 @dataclass(frozen=True)
@@ -58,24 +55,17 @@ def _runs(study: Study, split: Split, light: str, size: str, configuration: _Con
             motion=configuration.motion,
             gravity=configuration.gravity,
         )
-        for seed in seeds_of(study)
+        for seed in range(study.seeds)
     ]
 
 
-def tasks(study: Study) -> Sequence[Task]:
-    return [run for case in _cases(study) for run in case.runs]
-
-
-def draw(study: Study, results: Results, folder: Path) -> Drawn:
-    return compare(
-        "Errors by components of the localizer (median over seeds; smallest to largest)",
-        ("split", "light", "size", "components"),
-        _cases(study),
-        results,
-        "Adapted means that network and map are tuned. Random walk means without odometry. Gravity means that the "
-        "localizer is given a simulated roll and pitch, with errors of 0.5° per axis that are constant in a run and "
-        "0.3° per frame.",
-    )
-
-
-FIGURE = Figure("ablation", "Components of the localizer", None, tasks, draw, on_request=True)
+FIGURE = comparison(
+    "ablation",
+    "Components of the localizer",
+    ("split", "light", "size", "components"),
+    _cases,
+    lambda study: "Errors by components of the localizer (median over seeds; smallest to largest)",
+    "Adapted means that network and map are tuned. Random walk means without odometry. Gravity means that the "
+    "localizer is given a simulated roll and pitch, with errors of 0.5° per axis that are constant in a run and 0.3° "
+    "per frame.",
+)

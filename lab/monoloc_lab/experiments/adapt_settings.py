@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from monoloc_lab.experiments import tasks as factories
-from monoloc_lab.experiments.comparison import Case, compare
-from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import network_of, seeds_of, usual_recording
+from monoloc_lab.experiments.comparison import Case, comparison
+from monoloc_lab.experiments.gather import network_of, usual_recording
 from monoloc_lab.experiments.study import Split, Study
-from monoloc_lab.experiments.task import Results, Task
+from monoloc_lab.experiments.task import Task
 
 # By name: the variant, and the changed settings.
 _SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -40,22 +37,15 @@ def _cases(study: Study) -> list[Case]:
 
 def _runs(study: Study, split: Split, variant: str, changed: dict[str, Any]) -> list[Task]:
     bundle = factories.bundle(study, split, network_of(study.sizes[0]), variant, **changed)
-    return [factories.run(bundle, usual_recording(split), seed) for seed in seeds_of(study)]
+    return factories.run_seeds(study, bundle, usual_recording(split))
 
 
-def tasks(study: Study) -> Sequence[Task]:
-    return [run for case in _cases(study) for run in case.runs]
-
-
-def draw(study: Study, results: Results, folder: Path) -> Drawn:
-    return compare(
-        f"Errors by settings of adaptation, {study.sizes[0]} (median over seeds; smallest to largest)",
-        ("split", "setting"),
-        _cases(study),
-        results,
-        "Each row changes one setting from its default; one build each. The figure lambda varies the weight of the "
-        "divergence.",
-    )
-
-
-FIGURE = Figure("adapt-settings", "Settings of adaptation", None, tasks, draw, on_request=True)
+FIGURE = comparison(
+    "adapt-settings",
+    "Settings of adaptation",
+    ("split", "setting"),
+    _cases,
+    lambda study: f"Errors by settings of adaptation, {study.sizes[0]} (median over seeds; smallest to largest)",
+    "Each row changes one setting from its default; one build each. The figure lambda varies the weight of the "
+    "divergence.",
+)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from monoloc_lab.experiments.figure import Drawn
+from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import FROM_SAME_START, MEDIAN, RMSE, ROTATION, Spread, spread_of
+from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.task import Results, Task
 
 COVERAGE, ABSREL, ODOMETRY_RATIO = "unseen_coverage_95", "unseen_depth_absrel", "odometry_ratio"
@@ -27,21 +29,42 @@ class Case:
     runs: Sequence[Task]
 
 
-def compare(title: str, head: Sequence[str], cases: Sequence[Case], results: Results, text: str) -> Drawn:
-    """A figure with medians over seeds of errors on unseen frames.
+def comparison(
+    name: str,
+    title: str,
+    head: Sequence[str],
+    cases: Callable[[Study], Sequence[Case]],
+    caption: Callable[[Study], str],
+    text: str,
+) -> Figure:
+    """A figure, drawn on request, with medians over seeds of errors on unseen frames.
 
     The odometry ratio is the RMSE over that of odometry alone from the same start.
 
     Args:
         head: names of the labels.
+        cases: rows of a study's table.
+        caption: of that table.
+        text: see :class:`monoloc_lab.experiments.figure.Drawn`.
     """
+
+    def tasks(study: Study) -> Sequence[Task]:
+        return [run for case in cases(study) for run in case.runs]
+
+    def draw(study: Study, results: Results, folder: Path) -> Drawn:
+        return _drawn(caption(study), head, cases(study), results, text)
+
+    return Figure(name, title, None, tasks, draw, on_request=True)
+
+
+def _drawn(caption: str, head: Sequence[str], cases: Sequence[Case], results: Results, text: str) -> Drawn:
     numbers, rows = [], []
     for case in cases:
         spreads = _spreads(results, case.runs)
         labels: dict[str, Any] = dict(zip(head, case.labels, strict=True))
         numbers.append(labels | {name: spread.numbers() for name, spread in spreads.items()})
         rows.append((*case.labels, *_cells(spreads)))
-    return Drawn(numbers={"cases": numbers}, tables={title: ((*head, *_COLUMNS), rows)}, text=text)
+    return Drawn(numbers={"cases": numbers}, tables={caption: ((*head, *_COLUMNS), rows)}, text=text)
 
 
 def _spreads(results: Results, runs: Sequence[Task]) -> dict[str, Spread]:

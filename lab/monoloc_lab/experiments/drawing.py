@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 SIZE_COLOURS = (BLUE, GREEN, VERMILION, PURPLE)  # of the networks, largest first
-_CM = 100.0
+CM = 100.0  # in a metre
 _ROBUST = (2.0, 98.0)  # percentiles of a trajectory that the view contains
 _MARGIN_M = 0.25
 _LEAST_SHAPE = 0.45  # height of a view over its width
@@ -33,24 +33,20 @@ class Series:
     spreads: Sequence[Spread | None]
 
 
-def draw_ranges(axis: Axes, groups: Sequence[str], series: Sequence[Series], factor: float = _CM) -> None:
-    """Medians over seeds as dots, ranges as bars, in groups; the axis is logarithmic.
-
-    Args:
-        factor: converts the spreads to the unit of the axis; by default metres to centimetres.
-    """
+def draw_ranges(axis: Axes, groups: Sequence[str], series: Sequence[Series]) -> None:
+    """Medians over seeds as dots, ranges as bars, in groups, of spreads in metres; the axis is logarithmic, in cm."""
     step = 0.76 / max(1, len(series))
     for number, one in enumerate(series):
         offset = (number - 0.5 * (len(series) - 1)) * step
         for group, spread in enumerate(one.spreads):
             if spread is None or not spread.values:
                 continue
-            at, (low, high) = group + offset, spread.range
-            axis.plot([at, at], [factor * low, factor * high], color=one.colour, linewidth=5.0, alpha=0.3)
-            axis.plot(at, factor * spread.median, "o", color=one.colour, markersize=6.5, markeredgecolor="white")
+            at, median_cm, (low, high) = group + offset, CM * spread.median, spread.range
+            axis.plot([at, at], [CM * low, CM * high], color=one.colour, linewidth=5.0, alpha=0.3)
+            axis.plot(at, median_cm, "o", color=one.colour, markersize=6.5, markeredgecolor="white")
             axis.annotate(
-                f"{factor * spread.median:.2g}" if factor * spread.median < 10 else f"{factor * spread.median:.0f}",
-                (at, factor * high),
+                f"{median_cm:.2g}" if median_cm < 10 else f"{median_cm:.0f}",
+                (at, CM * high),
                 (0, 4),
                 textcoords="offset points",
                 ha="center",
@@ -88,7 +84,7 @@ def draw_points(
 def draw_bound(axis: Axes, name: str, spread: Spread, colour: str, style: Any) -> None:
     """A horizontal line for a spread in metres that all groups share; the axis is in centimetres."""
     if spread.values:
-        axis.axhline(_CM * spread.median, color=colour, linestyle=style, linewidth=1.2, zorder=1, label=name)
+        axis.axhline(CM * spread.median, color=colour, linestyle=style, linewidth=1.2, zorder=1, label=name)
 
 
 def logarithmic(axis: Any) -> None:

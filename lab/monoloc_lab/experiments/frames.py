@@ -15,7 +15,6 @@ from monoloc_lab.experiments.gather import (
     Spread,
     frames_of,
     network_of,
-    seeds_of,
     spread_of,
     usual_recording,
 )
@@ -39,7 +38,7 @@ def _runs(study: Study, variant: str, count: int) -> list[Task]:
     split = study.splits[0]
     frames = None if count == _available(study) else count  # with all frames, the bundle of the other figures
     bundle = factories.bundle(study, split, network_of(study.sizes[0]), variant, frames=frames)
-    return [factories.run(bundle, usual_recording(split), seed) for seed in seeds_of(study)]
+    return factories.run_seeds(study, bundle, usual_recording(split))
 
 
 def tasks(study: Study) -> Sequence[Task] | None:

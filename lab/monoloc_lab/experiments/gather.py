@@ -201,10 +201,6 @@ def nearest_build_m(split: Split, recording: EvalRecording) -> float:
     return float(np.median(distances.min(axis=1)))
 
 
-def seeds_of(study: Study) -> range:
-    return range(study.seeds)
-
-
 def and_list(names: Sequence[str]) -> str:
     """``a, b and c``."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

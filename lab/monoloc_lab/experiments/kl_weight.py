@@ -11,7 +11,7 @@ from monoloc.viz.picture import BLUE, GREEN, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import RMSE, Spread, network_of, seeds_of, spread_of, usual_recording
+from monoloc_lab.experiments.gather import RMSE, Spread, network_of, spread_of, usual_recording
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.sweep import draw_sweep, least, mark_default, row_of
 from monoloc_lab.experiments.task import Results, Task
@@ -26,8 +26,7 @@ def _bundle(study: Study, variant: str, value: float) -> Task:
 
 
 def _runs(study: Study, variant: str, value: float) -> list[Task]:
-    recording = usual_recording(study.splits[0])
-    return [factories.run(_bundle(study, variant, value), recording, seed) for seed in seeds_of(study)]
+    return factories.run_seeds(study, _bundle(study, variant, value), usual_recording(study.splits[0]))
 
 
 def tasks(study: Study) -> Sequence[Task] | None:

@@ -112,9 +112,9 @@ def _row(study: Study, flight: _Flight, run: Result, bundle: Result) -> Row:
     }
 
 
-def ratio(rows: Sequence[Row], split: str, rung: str, other: str, column: str = "rmse_cm") -> Interval | None:
-    """Error of a method over that of another, build by build; None without a build that both have."""
-    shared = ratios_of_builds(*(medians_of_builds(rows, column, split=split, rung=name) for name in (rung, other)))
+def ratio(rows: Sequence[Row], split: str, rung: str, other: str) -> Interval | None:
+    """RMSE of a method over that of another, build by build; None without a build that both have."""
+    shared = ratios_of_builds(*(medians_of_builds(rows, "rmse_cm", split=split, rung=name) for name in (rung, other)))
     return interval_of(shared) if shared else None
 
 

@@ -10,7 +10,7 @@ from monoloc.viz.picture import BLUE, ORANGE, VERMILION, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import MEDIAN, RMSE, Spread, seeds_of, spread_of, usual_recording
+from monoloc_lab.experiments.gather import MEDIAN, RMSE, Spread, spread_of, usual_recording
 from monoloc_lab.experiments.methods import bundle_of
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.sweep import draw_sweep, least
@@ -35,8 +35,7 @@ def _map(study: Study, kind: _Kind, size: float) -> Task:
 
 
 def _runs(study: Study, kind: _Kind, size: float) -> list[Task]:
-    recording = usual_recording(study.splits[0])
-    return [factories.run(_map(study, kind, size), recording, seed) for seed in seeds_of(study)]
+    return factories.run_seeds(study, _map(study, kind, size), usual_recording(study.splits[0]))
 
 
 def tasks(study: Study) -> Sequence[Task] | None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, VERMILION
 from monoloc_lab.experiments import tasks
-from monoloc_lab.experiments.gather import RMSE, Spread, network_of, seeds_of, spread_of
+from monoloc_lab.experiments.gather import RMSE, Spread, network_of, spread_of
 from monoloc_lab.experiments.study import EvalRecording, Split, Study
 from monoloc_lab.experiments.task import Results, Task
 
@@ -33,7 +34,7 @@ class Method:
 
     def runs(self, study: Study, split: Split, size: str, recording: EvalRecording) -> list[Task]:
         """One per seed."""
-        seeds = seeds_of(study) if self.seeded else range(1)
+        seeds = range(study.seeds) if self.seeded else range(1)
         return [self.task(study, split, size, recording, seed) for seed in seeds]
 
     def rmse(self, study: Study, results: Results, split: Split, size: str, recording: EvalRecording) -> Spread:
@@ -53,12 +54,11 @@ def _run_of(variant: str) -> RunFactory:
     return task
 
 
-def _posenet(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
-    return tasks.posenet_run(tasks.posenet(study, split, size, seed), recording)
+def _posenet_of(views: bool) -> RunFactory:
+    def task(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+        return tasks.posenet_run(tasks.posenet(study, split, size, seed, views), recording)
 
-
-def _posenet_with_views(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
-    return tasks.posenet_run(tasks.posenet(study, split, size, seed, views=True), recording)
+    return task
 
 
 def _filtered(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
@@ -71,23 +71,22 @@ def _sensor(study: Study, split: Split, size: str, recording: EvalRecording, see
     return tasks.run(bundle_of(study, split, study.sizes[0], "unadapted", seed), recording, seed, sensor=True)
 
 
-def _orb(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
-    return tasks.keypoints_run(study, split, recording, "orb")
+def _keypoints_of(kind: Literal["orb", "sift"]) -> RunFactory:
+    def task(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+        return tasks.keypoints_run(study, split, recording, kind)
+
+    return task
 
 
-def _sift(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
-    return tasks.keypoints_run(study, split, recording, "sift")
-
-
-POSENET = Method("PoseNet", VERMILION, _posenet)
-POSENET_WITH_VIEWS = Method("PoseNet, with views", "#8C3A00", _posenet_with_views)
+POSENET = Method("PoseNet", VERMILION, _posenet_of(views=False))
+POSENET_WITH_VIEWS = Method("PoseNet, with views", "#8C3A00", _posenet_of(views=True))
 FILTERED = Method("filtered PoseNet", PURPLE, _filtered)
 UNADAPTED = Method("unadapted", ORANGE, _run_of("unadapted"))
 LAST_AND_MAP = Method("last layer and map", GREEN, _run_of("last+map"))
 JOINT = Method("network and map", BLUE, _run_of("joint"))
 SENSOR = Method("sensor depth in our filter", INK, _sensor)
-ORB = Method("ORB keypoints", SKY, _orb, seeded=False)
-SIFT = Method("SIFT keypoints", "#2A7F9E", _sift, seeded=False)
+ORB = Method("ORB keypoints", SKY, _keypoints_of("orb"), seeded=False)
+SIFT = Method("SIFT keypoints", "#2A7F9E", _keypoints_of("sift"), seeded=False)
 
 BY_SIZE = (POSENET, FILTERED, UNADAPTED, LAST_AND_MAP, JOINT)
 """Methods with a network of every size. The paper tunes the last layer and the map."""

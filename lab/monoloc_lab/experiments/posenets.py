@@ -11,7 +11,7 @@ from monoloc.viz.picture import GREY, VERMILION, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import draw_points, legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, ROTATION, compared_lights, seeds_of
+from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, ROTATION, compared_lights
 from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, ratios_of_builds
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.task import Results, Task
@@ -38,7 +38,7 @@ def tasks(study: Study) -> Sequence[Task]:
 def _flights(study: Study) -> Iterator[_Flight]:
     """Of the first split, in the usual light, L1 and L3."""
     split = study.splits[0]
-    for seed in seeds_of(study):
+    for seed in range(study.seeds):
         for size in study.sizes:
             for darkened in _TRAINED:
                 posenet = factories.posenet(study, split, size, seed, darkened=darkened)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.altered import POSE_NOISE_DEG, POSE_NOISE_M
-from monoloc_lab.experiments.comparison import Case, compare
-from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import network_of, seeds_of, usual_recording
+from monoloc_lab.experiments.comparison import Case, comparison
+from monoloc_lab.experiments.gather import network_of, usual_recording
 from monoloc_lab.experiments.study import Split, Study
-from monoloc_lab.experiments.task import Results, Task
+from monoloc_lab.experiments.task import Task
 
 # By name: alterations of the build and of the evaluation recording, and whether the build refines poses.
 _CONDITIONS: dict[str, tuple[str | None, str | None, bool]] = {
@@ -45,22 +42,15 @@ def _runs(study: Study, split: Split, condition: str, method: str) -> list[Task]
     altered = replace(split, alteration=build)
     bundle = factories.bundle(study, altered, network_of(study.sizes[0]), variant, refine_poses=refine)
     recording = replace(usual_recording(split), alteration=evaluation)
-    return [factories.run(bundle, recording, seed, sensor=sensor) for seed in seeds_of(study)]
+    return factories.run_seeds(study, bundle, recording, sensor)
 
 
-def tasks(study: Study) -> Sequence[Task]:
-    return [run for case in _cases(study) for run in case.runs]
-
-
-def draw(study: Study, results: Results, folder: Path) -> Drawn:
-    return compare(
-        f"Errors under harder conditions, {study.sizes[0]} (median over seeds; smallest to largest)",
-        ("split", "condition", "method"),
-        _cases(study),
-        results,
-        f"Pose noise has a standard deviation of {100.0 * POSE_NOISE_M:g} cm and {POSE_NOISE_DEG:g}° per axis. The "
-        "narrow lens shows the central 60 % of width and height, in build and evaluation. One build each.",
-    )
-
-
-FIGURE = Figure("robustness", "Harder conditions", None, tasks, draw, on_request=True)
+FIGURE = comparison(
+    "robustness",
+    "Harder conditions",
+    ("split", "condition", "method"),
+    _cases,
+    lambda study: f"Errors under harder conditions, {study.sizes[0]} (median over seeds; smallest to largest)",
+    f"Pose noise has a standard deviation of {100.0 * POSE_NOISE_M:g} cm and {POSE_NOISE_DEG:g}° per axis. The "
+    "narrow lens shows the central 60 % of width and height, in build and evaluation. One build each.",
+)

@@ -5,26 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from monoloc_lab.experiments.drawing import logarithmic
+from monoloc_lab.experiments.drawing import CM, logarithmic
 from monoloc_lab.experiments.gather import Spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def draw_sweep(
-    axis: Axes, name: str, colour: str, points: Mapping[float, Spread], factor: float = 100.0, marker: str = "o"
-) -> None:
+def draw_sweep(axis: Axes, name: str, colour: str, points: Mapping[float, Spread], marker: str = "o") -> None:
     """Medians over seeds connected by a line, ranges as bars; both axes are logarithmic.
 
     Args:
-        points: by the value of the setting, which is positive.
-        factor: converts the spreads to the unit of the axis; by default metres to centimetres.
+        points: by the value of the setting, which is positive; in metres, drawn in centimetres.
     """
     found = {value: spread for value, spread in points.items() if spread.values}
     values = list(found)
-    medians = [factor * spread.median for spread in found.values()]
-    low, high = ([factor * spread.range[end] for spread in found.values()] for end in (0, 1))
+    medians = [CM * spread.median for spread in found.values()]
+    low, high = ([CM * spread.range[end] for spread in found.values()] for end in (0, 1))
     axis.vlines(values, low, high, color=colour, alpha=0.3, linewidth=5.0)
     axis.plot(values, medians, marker, linestyle="-", color=colour, markeredgecolor="white", markersize=7, label=name)
     logarithmic(axis.xaxis)

@@ -138,6 +138,11 @@ def run(
     )
 
 
+def run_seeds(study: Study, bundle: Task, recording: EvalRecording, sensor: bool = False) -> list[Task]:
+    """:func:`run` with a bundle, once per seed."""
+    return [run(bundle, recording, seed, sensor=sensor) for seed in range(study.seeds)]
+
+
 TRAJECTORY_ARRAYS = ("poses", "truth", "unseen", "seconds", "covariances", "odometry")
 """Arrays of ``trajectory.npz``.
 

@@ -19,7 +19,6 @@ from monoloc_lab.experiments.gather import (
     in_split,
     mean_depth,
     picture_path,
-    seeds_of,
     size_labels,
     spread_of,
     usual_recording,
@@ -43,8 +42,8 @@ def _variants(study: Study) -> list[str]:
 
 
 def _runs(study: Study, split: Split, size: str, variant: str) -> list[Task]:
-    recording = usual_recording(split)
-    return [factories.run(bundle_of(study, split, size, variant, seed), recording, seed) for seed in seeds_of(study)]
+    seeds, recording = range(study.seeds), usual_recording(split)
+    return [factories.run(bundle_of(study, split, size, variant, seed), recording, seed) for seed in seeds]
 
 
 def _depth(study: Study, split: Split, size: str, variant: str) -> Task:
