@@ -25,8 +25,8 @@ from monoloc.cli.common import (
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
     FirmwareOption,
+    MapOrFlightArgument,
     MavlinkOption,
-    RoomOrFlightArgument,
     SettingsOption,
     check_autopilot,
     flight_of,
@@ -57,7 +57,7 @@ _PARAMETERS_S = 5.0  # to wait for the autopilot's parameters
 
 
 def doctor(
-    room: RoomOrFlightArgument = None,
+    room: MapOrFlightArgument = None,
     source: Annotated[
         str | None,
         typer.Argument(

@@ -37,14 +37,6 @@ from monoloc.place.flown_map import FlownMap, is_place, open_map
 from monoloc.relocalization.marker import MarkerLocalizer
 from monoloc.start import Start
 
-RoomOrFlightArgument = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="ROOM|FLIGHT.toml",
-        help="Bundle from monoloc build, or a file with it and all other settings of a flight.",
-        show_default=False,
-    ),
-]
 MapOrFlightArgument = Annotated[
     Path | None,
     typer.Argument(

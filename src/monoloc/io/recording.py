@@ -117,6 +117,11 @@ class Selection:
         return self.source.depth(int(self.positions[index]))
 
 
+def selected_from(recording: Recording) -> Recording:
+    """The recording that frames are selected from; itself, if it is no selection."""
+    return recording.source if isinstance(recording, Selection) else recording
+
+
 def narrowed(recording: Recording, frames: NDArray[np.int64]) -> Selection:
     """Some frames of a recording. Those of a selection are selected from its source, with the selection's poses.
 

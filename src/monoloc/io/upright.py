@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 from monoloc.image_turns import T_camera_turned, in_words, turned_image, turns_upright
-from monoloc.io.recording import Recording, Remark, Selection, StoredRecording, recorded_down, scale_sd_of
+from monoloc.io.recording import Recording, Remark, StoredRecording, recorded_down, scale_sd_of, selected_from
 
 _LEAST_SHARE = 0.75  # of the frames that tell; a phone that was turned on the way has no upright
 
@@ -65,7 +65,7 @@ def upright(recording: StoredRecording) -> StoredRecording:
 
 def quarter_turns_of(recording: Recording) -> int:
     """How often the images were turned by 90 degrees counter-clockwise when the recording was read, 0 to 3."""
-    source = recording.source if isinstance(recording, Selection) else recording
+    source = selected_from(recording)
     return source.quarter_turns if isinstance(source, Turned) else 0
 
 
@@ -74,7 +74,7 @@ def is_upright(recording: Recording) -> bool:
 
     Gravity tells it, or the format: a flight keeps its images as it turned them.
     """
-    source = recording.source if isinstance(recording, Selection) else recording
+    source = selected_from(recording)
     return getattr(source, "stands_upright", False) or _quarter_turns(source) == 0
 
 

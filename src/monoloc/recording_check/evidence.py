@@ -126,10 +126,16 @@ class Evidence:
 
     def _of_source(self) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
         """Poses and times of all frames that the recording was selected from, and the pairs among these."""
-        recording, rows = self.recording, self.matches.frames
-        if isinstance(recording, Selection) and recording.source.poses is not None:
-            return recording.source.poses, recording.source.timestamps_s, recording.positions[rows]
-        return self.poses, recording.timestamps_s, rows
+        recording, positions = posed_source(self.recording)
+        assert recording.poses is not None
+        return recording.poses, recording.timestamps_s, positions[self.matches.frames]
+
+
+def posed_source(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
+    """The recording that a posed one's frames are selected from, if that is posed too, and their positions in it."""
+    if isinstance(recording, Selection) and recording.source.poses is not None:
+        return recording.source, recording.positions
+    return recording, np.arange(len(recording))
 
 
 def gather_evidence(recording: Recording, cloud: FloatArray | None, pairs: int = PAIRS) -> Evidence:

@@ -11,7 +11,7 @@ from monoloc.camera import Camera
 from monoloc.errors import SettingError
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import AXES
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, selected_from
 from monoloc.io.stray_scanner import StrayScannerRecording
 from monoloc.io.upright import Turned
 from monoloc.recording_check.evidence import Evidence, other_readings
@@ -249,7 +249,7 @@ def depth_scale_option(recording: Recording, factor: float, log_sd: float = 0.0)
         factor: stated over true depth.
         log_sd: standard deviation of its logarithm.
     """
-    source = recording.source if isinstance(recording, Selection) else recording
+    source = selected_from(recording)
     source = source.source if isinstance(source, Turned) else source
     if not isinstance(source, ImageRecording | StrayScannerRecording):
         return None

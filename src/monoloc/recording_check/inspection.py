@@ -11,7 +11,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording, Remark, Selection, scale_sd_of
+from monoloc.io.recording import Recording, Remark, scale_sd_of, selected_from
 from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_between_frames import CHECK_DEPTH, find_disagreement
@@ -130,14 +130,16 @@ def inspect_recording(
         *_of_frames(recording, times),
         *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
-        *_of_upright(recording),
-        *_of_repeats(recording),
+        *_warned("upright", ON_THEIR_SIDE if walk_lies_on_side(recording) else None, STAND_UPRIGHT),
+        *_warned("images", find_repeats(recording), LEAVE_OUT),
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
-        *(() if is_explained else _of_disagreement(recording)),
+        *_warned("depth between frames", None if is_explained else find_disagreement(recording), CHECK_DEPTH),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(() if delay is None else (Finding("pose times", "warning", delay[0], f"give {delay[1]}"),)),
-        *(Finding(of.name, "warning" if of.remark else "good", of.value, of.remark) for of in factors),
-        *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
+        *(
+            Finding(of.name, "warning" if of.remark else "good", of.value, of.remark)
+            for of in (*factors, *camera_doubts(recording.camera))
+        ),
     ]
     if agreement is not None and bundle is not None:
         findings += light_findings(images, bundle.provenance.brightness)
@@ -148,8 +150,7 @@ def inspect_recording(
 
 
 def _of_frames(recording: Recording, times: TimeCheck) -> Iterator[Finding]:
-    source = recording.source if isinstance(recording, Selection) else recording
-    doubts = [note for note in getattr(source, "notes", []) if not isinstance(note, Remark)]
+    doubts = [note for note in getattr(selected_from(recording), "notes", []) if not isinstance(note, Remark)]
     yield Finding("frames", "warning" if doubts else "good", f"{times.frames}", "; ".join(doubts))
     if times.rate_hz is None:
         return
@@ -199,17 +200,10 @@ def _of_motion(motion: MotionCoverage) -> Iterator[Finding]:
     yield Finding("motion", "warning" if remark else "good", value, remark)
 
 
-def _of_upright(recording: Recording) -> Iterator[Finding]:
-    """A warning where the motion tells that images lie on their side."""
-    if walk_lies_on_side(recording):
-        yield Finding("upright", "warning", ON_THEIR_SIDE, STAND_UPRIGHT)
-
-
-def _of_repeats(recording: Recording) -> Iterator[Finding]:
-    """A warning where images repeat although the poses move."""
-    found = find_repeats(recording)
+def _warned(name: str, found: str | None, remark: str) -> Iterator[Finding]:
+    """A warning of what was found, if anything was."""
     if found is not None:
-        yield Finding("images", "warning", found, LEAVE_OUT)
+        yield Finding(name, "warning", found, remark)
 
 
 def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> Iterator[Finding]:
@@ -226,13 +220,6 @@ def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> It
     of_sensor = "keep within the sensor's range, away from dark and shiny surfaces"
     of_images = "film surfaces with texture, each from several places"
     yield Finding("depth", "warning", value, of_images if is_from_images else of_sensor)
-
-
-def _of_disagreement(recording: Recording) -> Iterator[Finding]:
-    """A warning where depth disagrees between frames."""
-    found = find_disagreement(recording)
-    if found is not None:
-        yield Finding("depth between frames", "warning", found, CHECK_DEPTH)
 
 
 def _without_poses(recording: Recording, bundle: Bundle | None) -> Iterator[Finding]:

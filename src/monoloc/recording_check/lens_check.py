@@ -30,15 +30,15 @@ _CHECK_SCALE = "check the scale of the depth and the unit of the poses"
 
 
 @dataclass(frozen=True)
-class FactorFinding:
-    """What corners say of one factor: its name, its value, and what to do about it; that is empty if it is right."""
+class LensFinding:
+    """What was found of the intrinsics or of a scale, and what to do about it; that is empty if it is right."""
 
     name: str
     value: str
     remark: str = ""
 
 
-def check_factors(evidence: Evidence) -> list[FactorFinding]:
+def check_factors(evidence: Evidence) -> list[LensFinding]:
     """What corners say of the focal length and of depth's scale, where poses agree: one doubt, or what is right.
 
     A wrong scale of depth or poses moves corners much as a wrong focal length does. A factor is named only if it is
@@ -57,23 +57,23 @@ def check_factors(evidence: Evidence) -> list[FactorFinding]:
     least = min(factor.error for factor, *_ in measured)
     doubted = [each for each in measured if _is_off(each[0]) and each[0].error <= _AS_GOOD * least]
     if not any(_is_certain(factor) for factor, *_ in doubted):
-        return [FactorFinding(name, value) for _, name, value, _ in measured]
+        return [LensFinding(name, value) for _, name, value, _ in measured]
     _, name, value, remark = doubted[0]
     others = "".join(f"; or {other}: {check}" for _, _, other, check in doubted[1:])
-    return [FactorFinding(name, value, remark + others)]
+    return [LensFinding(name, value, remark + others)]
 
 
-def camera_doubts(camera: Camera) -> Iterator[tuple[str, str, str]]:
-    """Name, value and remark of intrinsics that hardly any camera has; corners tell them less clearly."""
+def camera_doubts(camera: Camera) -> Iterator[LensFinding]:
+    """Doubts about intrinsics that hardly any camera has; corners tell them less clearly."""
     off_x = abs(camera.cx - 0.5 * (camera.width - 1)) / camera.width
     off_y = abs(camera.cy - 0.5 * (camera.height - 1)) / camera.height
     if not camera.is_window and max(off_x, off_y) > _OFF_CENTRE:
         value = f"({camera.cx:.0f}, {camera.cy:.0f}) in images of {camera.width}x{camera.height}"
         order = "check that cx and cy are of this image size and in this order, or calibrate the camera"
-        yield "principal point", value, f"far from the centre; {order}"
+        yield LensFinding("principal point", value, f"far from the centre; {order}")
     if abs(camera.fx / camera.fy - 1.0) > _SQUARE:
         value = f"fx = {camera.fx:.0f}, fy = {camera.fy:.0f}"
-        yield "pixels", value, "pixels are not square; check both, unless the images were stretched"
+        yield LensFinding("pixels", value, "pixels are not square; check both, unless the images were stretched")
 
 
 def intrinsics_warnings(evidence: Evidence | None, camera: Camera) -> Iterator[str]:
@@ -86,8 +86,8 @@ def intrinsics_warnings(evidence: Evidence | None, camera: Camera) -> Iterator[s
         for found in check_factors(evidence):
             if found.remark:
                 yield f"{found.name} by the corners: {found.value}; {found.remark}"
-    for name, value, remark in camera_doubts(camera):
-        yield f"{name}: {value}; {remark}"
+    for doubt in camera_doubts(camera):
+        yield f"{doubt.name}: {doubt.value}; {doubt.remark}"
 
 
 def _scale(evidence: Evidence) -> Factor | None:

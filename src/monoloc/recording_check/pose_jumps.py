@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from monoloc.geometry import invert, rotation_angle, steps_m
 from monoloc.io.recording import Recording, Selection
 from monoloc.recording_check.correspondences import match_neighbours
-from monoloc.recording_check.evidence import Evidence
+from monoloc.recording_check.evidence import Evidence, posed_source
 
 _MOST = 10  # steps that are compared with the images, the largest first
 _LEAST_STEP = 0.12  # metres plus radians, from one frame to the next
@@ -45,7 +45,7 @@ def find_jumps(evidence: Evidence) -> list[PoseJump]:
     Raises:
         DataError: a frame cannot be read.
     """
-    recording, positions = _whole(evidence.recording)
+    recording, positions = posed_source(evidence.recording)
     steps = _largest_steps(recording, positions)
     if len(steps) == 0:
         return []
@@ -56,13 +56,6 @@ def find_jumps(evidence: Evidence) -> list[PoseJump]:
     free_px = pairs.reproject(pairs.reproject.free_motion(depth_m), depth_m).shares
     jumps = (stated_px > _CONTRADICTED * pairs.matches.camera.width) & (free_px < _EXPLAINED_PX)
     return [_jump(some, before) for before in pairs.matches.frames[jumps, 0].tolist()]
-
-
-def _whole(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
-    """The recording that frames are selected from, where it is posed, and their positions in it."""
-    if isinstance(recording, Selection) and recording.source.poses is not None:
-        return recording.source, recording.positions
-    return recording, np.arange(len(recording))
 
 
 def _largest_steps(recording: Recording, positions: NDArray[np.int64]) -> NDArray[np.int64]:

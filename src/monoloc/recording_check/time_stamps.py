@@ -8,7 +8,7 @@ import numpy as np
 
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, rotation_angle
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, selected_from
 
 _GAP_FACTOR, _GAP_S = 3.0, 0.5  # a gap is longer than both: so many frames, and the time that odometry coasts over
 _MOST_RATE_HZ, _SLOW_FRAME_S = 1000.0, 4.0  # beyond these, times are not in seconds
@@ -52,7 +52,7 @@ class TimeCheck:
 
 def check_times(recording: Recording) -> TimeCheck:
     """Look at the time stamps of the recording, or of the one that its frames are selected from."""
-    whole = recording.source if isinstance(recording, Selection) else recording
+    whole = selected_from(recording)
     times_s = whole.timestamps_s
     if len(times_s) < 2:
         return TimeCheck(len(recording), None, 0.0, [])

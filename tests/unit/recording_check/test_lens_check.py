@@ -90,7 +90,7 @@ def test_a_build_warns_as_check_does(room: tuple[Recording, Matches]) -> None:
 )
 def test_intrinsics_that_no_camera_has_give_a_warning(changes: dict[str, float], names: list[str]) -> None:
     camera: Camera = replace(SMALL_CAMERA, **changes)  # type: ignore[arg-type]
-    assert [name for name, _, _ in camera_doubts(camera)] == names
+    assert [doubt.name for doubt in camera_doubts(camera)] == names
     assert [line.split(":")[0] for line in intrinsics_warnings(None, camera)] == names
 
 
