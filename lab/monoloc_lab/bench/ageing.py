@@ -31,7 +31,6 @@ from monoloc_lab.synth.changing_room import changed, flown, plan_round, render_r
 from monoloc_lab.synth.layout import generate_room
 
 _BUILD = BuildConfig(adapt=AdaptConfig(tune="none", map_transform=False))
-_SAMPLES = 16  # a pixel
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def rendered_days(days: int, moves: int, flights: int, seed: int, out: Path, pro
     out.mkdir(exist_ok=True)
     room = generate_room(seed)
     planned = plan_round(room, seed)
-    build = render_round(room, planned, _SAMPLES, 0, out / "day-00", progress)
+    build = render_round(room, planned, 0, out / "day-00", progress)
     moved, flown_on = list[list[str]](), list[list[Recording]]()
     for day in range(1, days + 1):
         room, names = changed(room, planned, moves, np.random.default_rng((seed, 1, day)))
@@ -136,10 +135,10 @@ def rendered_days(days: int, moves: int, flights: int, seed: int, out: Path, pro
             name, key = (f"day-{day:02d}-{flight}", (day, flight)) if flight else (f"day-{day:02d}", (day,))
             today = flown(planned, np.random.default_rng((seed, 2, *key)))
             noise = flight * (days + 3) + day
-            flown_on[-1].append(_opened(render_round(room, today, _SAMPLES, noise, out / name, progress)))
+            flown_on[-1].append(_opened(render_round(room, today, noise, out / name, progress)))
     again = flown(planned, np.random.default_rng((seed, 2, days + 1)))
-    test = render_round(room, again, _SAMPLES, days + 1, out / "test", progress)
-    fresh = render_round(room, planned, _SAMPLES, days + 2, out / "fresh", progress)
+    test = render_round(room, again, days + 1, out / "test", progress)
+    fresh = render_round(room, planned, days + 2, out / "fresh", progress)
     return Days(moved, _opened(build), flown_on, _opened(test), _opened(fresh), _opened(TESTS["L1"]))
 
 

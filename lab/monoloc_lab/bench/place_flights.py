@@ -53,16 +53,15 @@ def fly_apart(place: Path, frames: Path, count: int, seed: int) -> PlaceFlight:
     """Fly the first images of a file through a place, from an unknown start, in a new process."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(fly_frames, place, frames, 0, count, seed).result()
+        return pool.submit(fly_frames, place, frames, count, seed).result()
 
 
-def fly_frames(place: Path, frames: Path, first: int, count: int, seed: int) -> PlaceFlight:
-    """Fly some images of a file through a place, from an unknown start."""
+def fly_frames(place: Path, frames: Path, count: int, seed: int) -> PlaceFlight:
+    """Fly the first images of a file through a place, from an unknown start."""
     cv2.setNumThreads(1)
     localizer = PlaceLocalizer(read_place(place), CAMERA, seed=seed)
     steps, step_ms, loaded = [], [], 0
     with frames.open("rb") as file:
-        file.seek(first * int(np.prod(_SHAPE)))
         for _ in range(count):
             color = np.frombuffer(file.read(int(np.prod(_SHAPE))), np.uint8).reshape(_SHAPE)
             began = time.process_time()

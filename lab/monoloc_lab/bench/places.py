@@ -155,7 +155,7 @@ def _fly_starts(
             yaws = rng.uniform(-np.pi, np.pi) + _START_TURN_RAD_S * times_s
             poses = np.stack([looking(row.middle(number) + offset, yaw) for yaw in yaws])
             write_frames(images, [color for color, _ in drawing.views(number, poses)])
-            flights.append((poses, fly_frames(place.path, images, 0, len(poses), seed)))
+            flights.append((poses, fly_frames(place.path, images, len(poses), seed)))
             show(number + 1)
     return flights
 

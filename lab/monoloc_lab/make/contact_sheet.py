@@ -15,7 +15,7 @@ from monoloc.camera import Camera
 from monoloc.files import write_whole
 from monoloc_lab.synth.layout import generate_room
 from monoloc_lab.synth.light import LIGHTS
-from monoloc_lab.synth.random_views import random_views, shows_a_room
+from monoloc_lab.synth.random_views import random_view, shows_a_room
 from monoloc_lab.synth.render import Renderer, illuminance, mixed
 from monoloc_lab.synth.sensor import SensorConfig, photograph, white_balance
 
@@ -35,7 +35,7 @@ def main() -> None:
         rng = np.random.default_rng(seed)
         shown = 0
         while shown < VIEWS_EACH:
-            picture = renderer.picture(CAMERA, random_views(room, 1, rng)[0], seed)
+            picture = renderer.picture(CAMERA, random_view(room, rng), seed)
             if not shows_a_room(picture):
                 continue
             shown += 1

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from monoloc.geometry import FloatArray
 
+_TOUCHING_M = 1e-4  # overlap of boxes that only touch
+
 
 @dataclass(frozen=True)
 class Boxes:
@@ -41,24 +43,24 @@ class Boxes:
             nearest = np.minimum(nearest, np.where(outside > 0.0, outside, beyond.max(axis=1)))
         return nearest
 
-    def intersect(self, other: Boxes, tolerance_m: float = 1e-4) -> bool:
-        """Whether a box of one intersects a box of the other by more than the tolerance.
+    def intersect(self, other: Boxes) -> bool:
+        """Whether a box of one intersects a box of the other by more than a tenth of a millimetre.
 
         Separating axis theorem: boxes are disjoint if their projections on one of 15 axes are (Gottschalk 1996).
         """
         mine, theirs = self.corners(), other.corners()
         reach = (mine.max(1)[:, None] > theirs.min(1)[None]) & (theirs.max(1)[None] > mine.min(1)[:, None])
         return any(
-            _cut(self.poses[i, :3, :3], mine[i], other.poses[j, :3, :3], theirs[j], tolerance_m)
+            _cut(self.poses[i, :3, :3], mine[i], other.poses[j, :3, :3], theirs[j])
             for i, j in np.argwhere(reach.all(axis=-1))
         )
 
 
-def _cut(R_a: FloatArray, a: FloatArray, R_b: FloatArray, b: FloatArray, tolerance_m: float) -> bool:
+def _cut(R_a: FloatArray, a: FloatArray, R_b: FloatArray, b: FloatArray) -> bool:
     crosses = np.cross(R_a.T[:, None, :], R_b.T[None, :, :]).reshape(9, 3)
     lengths = np.linalg.norm(crosses, axis=1)
     # The cross product of parallel edges vanishes; the face axes suffice then.
     axes = np.concatenate([R_a.T, R_b.T, crosses[lengths > 1e-6] / lengths[lengths > 1e-6, None]])
     on_a, on_b = axes @ a.T, axes @ b.T
     overlap = np.minimum(on_a.max(1), on_b.max(1)) - np.maximum(on_a.min(1), on_b.min(1))
-    return bool(np.all(overlap > tolerance_m))
+    return bool(np.all(overlap > _TOUCHING_M))

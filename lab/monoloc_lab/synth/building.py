@@ -112,7 +112,7 @@ def empty_room(size: Vector, walls: tuple[Wall, ...], seed: int, rng: np.random.
             name = f"{wall.name} window"
             panes = 2 if opening.width < 1.7 else 3
             put(name, fittings.window(opening, panes, _SKY, int(rng.integers(1 << 16))), wall.at(0, 0), wall.yaw_rad)
-            heater = fittings.radiator(0.8 * opening.width, 0.55)
+            heater = fittings.radiator(0.8 * opening.width)
             put(f"{name}, radiator", heater, wall.at(opening.middle, 0), wall.yaw_rad)
             top = min(height - 0.06, opening.top + 0.14)
             put(f"{name}, rail", fittings.rail(opening.width + 0.9), wall.at(opening.middle, 0.15, top), wall.yaw_rad)

@@ -30,6 +30,7 @@ _ROUND = FlightConfig(seconds=_SECONDS, speed=0.5, acceleration=0.8, yaw_rate_de
 _LEAST_SHIFT_M, _MOST_SHIFT_M = 0.25, 0.8
 _CLEAR_M = 0.25  # of the round from what was moved
 _TRIES = 200
+_SAMPLES = 16  # a pixel
 _OFF_ROUND = np.repeat([0.04, 0.03], 3)  # standard deviations of a day's round from the first one, m and rad
 _OFF_PERIOD_S = 6.0
 
@@ -91,10 +92,10 @@ def changed(room: Room, planned: Round, count: int, rng: np.random.Generator) ->
     raise SettingError("room", f"lets only {len(moved)} objects be moved", "choose another seed")
 
 
-def render_round(room: Room, round_: Round, samples: int, seed: int, out: Path, progress: Progress) -> Path:
+def render_round(room: Room, round_: Round, seed: int, out: Path, progress: Progress) -> Path:
     """Render a flight in even light, with exact depth; frames that an earlier call rendered are reused."""
     moving = velocities(round_.poses, round_.times_s)
-    config = RenderConfig(samples=samples, is_even=True)
+    config = RenderConfig(samples=_SAMPLES, is_even=True)
     given = (room, round_.poses, round_.times_s, moving, CAMERA, [LIGHTS["L1"]], config, seed, out, progress)
     return render_sequence(*given)[0]
 

@@ -18,6 +18,7 @@ _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 _PLANE_M = 0.02  # distance from the tangent plane at which points belong to another surface
 _NORMAL_POWER = 24.0
 _LIGHT_SDS = 3.0  # smaller differences of shading, in standard deviations of the noise, count as noise
+_LEVELS = 4  # of smoothing, each over twice the distance
 _DARKEST = 0.02  # smallest albedo to divide by
 
 
@@ -31,13 +32,13 @@ class Guide:
     shines: NDArray[np.bool_]
 
 
-def denoised(light: Image, guide: Guide, levels: int = 4) -> Image:
+def denoised(light: Image, guide: Guide) -> Image:
     """Denoise rendered light (H, W, 3); pixels of lamps and windows are not changed."""
     albedo = np.maximum(guide.albedo, np.float32(_DARKEST))
     near_lamp = cv2.dilate(guide.shines.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     shading = _without_fireflies(np.asarray(light / albedo, dtype=np.float32), near_lamp)
     noise = _noise_of(shading.mean(axis=2))
-    for level in range(levels):
+    for level in range(_LEVELS):
         shading = _smoothed(shading, guide, near_lamp, noise, 1 << level)
         noise = noise * 0.6
     return np.where(near_lamp[..., None], light, shading * albedo).astype(np.float32)

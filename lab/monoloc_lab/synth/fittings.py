@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from monoloc_lab.synth.furniture import Parts, a_color, box, rod
-from monoloc_lab.synth.materials import BLACK_PLASTIC, Material, lacquer, metal
+from monoloc_lab.synth.materials import BLACK_PLASTIC, METAL, Material, lacquer
 from monoloc_lab.synth.rooms import Part
 
 WALL_M = 0.24  # thickness of outer walls, and so depth of a window reveal
+_WARM = (1.0, 0.86, 0.68)  # of lamps
 _WHITE = (0.87, 0.87, 0.85)
 
 
@@ -81,8 +82,9 @@ def window(opening: Opening, panes: int, sky: float, seed: int) -> Parts:
     return tuple(parts)
 
 
-def radiator(width: float, height: float) -> Parts:
+def radiator(width: float) -> Parts:
     """A panel radiator below a window; the face of the wall is at y = 0."""
+    height = 0.55
     enamel = lacquer((0.88, 0.88, 0.86))
     ribs = [box((0.03, 0.012, height - 0.06), (x, -0.104, 0.14 + height / 2.0), enamel) for x in _ribs(width)]
     return (box((width, 0.05, height), (0.0, -0.07, 0.14 + height / 2.0), enamel, 0.01), *ribs)
@@ -103,9 +105,9 @@ def door(opening: Opening, leaf: Material) -> Parts:
         parts.append(box((0.09, 0.05, height + 0.09), (middle + s * (width / 2.0 + 0.045), 0.0, height / 2.0), frame))
     parts.append(box((width, 0.05, 0.09), (middle, 0.0, height + 0.045), frame))
     x = middle + width / 2.0 - 0.08
-    parts.append(box((0.03, 0.05, 0.03), (x, 0.0, 1.02), metal()))
-    parts.append(box((0.13, 0.018, 0.02), (x - 0.05, -0.03, 1.02), metal(), 0.005))
-    parts.append(box((0.04, 0.012, 0.2), (x, 0.018, 0.98), metal(), 0.004))
+    parts.append(box((0.03, 0.05, 0.03), (x, 0.0, 1.02), METAL))
+    parts.append(box((0.13, 0.018, 0.02), (x - 0.05, -0.03, 1.02), METAL, 0.005))
+    parts.append(box((0.04, 0.012, 0.2), (x, 0.018, 0.98), METAL, 0.004))
     return tuple(parts)
 
 
@@ -126,7 +128,7 @@ def curtain(width: float, height: float, cloth: Material) -> Parts:
 
 def rail(width: float) -> Parts:
     """A curtain rail along x."""
-    return (Part("cylinder", (0.022, 0.022, width), (0.0, 0.0, 0.0), metal(), (0.0, np.pi / 2.0, 0.0)),)
+    return (Part("cylinder", (0.022, 0.022, width), (0.0, 0.0, 0.0), METAL, (0.0, np.pi / 2.0, 0.0)),)
 
 
 def picture(width: float, height: float, content: Material, frame: Material | None) -> Parts:
@@ -139,18 +141,15 @@ def picture(width: float, height: float, content: Material, frame: Material | No
     return (box((width, 0.012, height), (0.0, -0.006, 0.0), content, 0.0), *rims)
 
 
-def glow(lumens: float, area_m2: float, color: tuple[float, float, float]) -> Material:
+def glow(lumens: float, area_m2: float) -> Material:
     """A uniform lamp surface with a luminous flux; a matt surface of luminance L emits pi L per square metre."""
-    return Material("plain", color, group="lamps", luminance=lumens / (np.pi * area_m2))
-
-
-WARM = (1.0, 0.86, 0.68)
+    return Material("plain", _WARM, group="lamps", luminance=lumens / (np.pi * area_m2))
 
 
 def pendant(drop: float, lumens: float) -> Parts:
     """A globe on a cord; the origin is its suspension point."""
     diameter = 0.28
-    globe = glow(lumens, np.pi * diameter**2, WARM)
+    globe = glow(lumens, np.pi * diameter**2)
     return (
         rod(0.09, 0.03, (0.0, 0.0, -0.03), lacquer(_WHITE)),
         rod(0.012, drop, (0.0, 0.0, -0.03 - drop), BLACK_PLASTIC),
@@ -158,12 +157,12 @@ def pendant(drop: float, lumens: float) -> Parts:
     )
 
 
-def floor_lamp(lumens: float) -> Parts:
+def floor_lamp() -> Parts:
     """A floor lamp 1.6 m high with a luminous cloth shade."""
-    shade = glow(lumens, np.pi * 0.38 * 0.28, WARM)
+    shade = glow(600.0, np.pi * 0.38 * 0.28)
     return (
-        rod(0.28, 0.025, (0.0, 0.0, 0.0), metal()),
-        rod(0.022, 1.32, (0.0, 0.0, 0.025), metal()),
+        rod(0.28, 0.025, (0.0, 0.0, 0.0), METAL),
+        rod(0.022, 1.32, (0.0, 0.0, 0.025), METAL),
         rod(0.44, 0.28, (0.0, 0.0, 1.34), shade, 0.72),
     )
 
@@ -171,10 +170,10 @@ def floor_lamp(lumens: float) -> Parts:
 def table_lamp(lumens: float, rng: np.random.Generator) -> Parts:
     """A table lamp 0.45 m high."""
     foot = Material("plain", a_color(rng), roughness=0.25)
-    shade = glow(lumens, np.pi * 0.22 * 0.18, WARM)
+    shade = glow(lumens, np.pi * 0.22 * 0.18)
     return (
         Part("ellipsoid", (0.15, 0.15, 0.2), (0.0, 0.0, 0.1), foot),
-        rod(0.02, 0.09, (0.0, 0.0, 0.19), metal()),
+        rod(0.02, 0.09, (0.0, 0.0, 0.19), METAL),
         rod(0.25, 0.18, (0.0, 0.0, 0.27), shade, 0.7),
     )
 

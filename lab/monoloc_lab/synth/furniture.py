@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from monoloc_lab.synth.materials import BLACK_PLASTIC, CERAMIC, Color, Material, fabric, lacquer, metal, wood
+from monoloc_lab.synth.materials import BLACK_PLASTIC, CERAMIC, METAL, Color, Material, fabric, lacquer, wood
 from monoloc_lab.synth.rooms import Part, Vector
 from monoloc_lab.synth.textures import ATLAS_CELLS, hsv
 
@@ -89,7 +89,7 @@ def office_chair(cloth: Material) -> Parts:
         box((0.48, 0.46, 0.08), (0.0, 0.0, 0.48), cloth, 0.035),
         box((0.44, 0.07, 0.50), (0.0, 0.23, 0.78), cloth, 0.03),
         box((0.05, 0.03, 0.30), (0.0, 0.28, 0.58), BLACK_PLASTIC),
-        rod(0.05, 0.36, (0.0, 0.0, 0.08), metal()),
+        rod(0.05, 0.36, (0.0, 0.0, 0.08), METAL),
     ]
     for angle in np.arange(5) * 2.0 * np.pi / 5.0:
         x, y = float(np.sin(angle)), float(np.cos(angle))
@@ -143,7 +143,7 @@ def cabinet(width: float, depth: float, height: float, body: Material, front: Ma
             size = (each - gap, 0.018, tall / rows - gap)
             parts.append(box(size, (x, -depth / 2.0 + 0.011, z), front))
             handle = (x, -depth / 2.0 - 0.008, z + 0.3 * tall / rows if rows == 2 else z)
-            parts.append(box((0.12, 0.02, 0.012), handle, metal()))
+            parts.append(box((0.12, 0.02, 0.012), handle, METAL))
     return tuple(parts)
 
 
@@ -218,9 +218,9 @@ def bed(width: float, frame: Material, cover: Material, pillow: Material) -> Par
     )
 
 
-def television(width: float) -> Parts:
+def television() -> Parts:
     """A flat screen on a foot."""
-    height = width * 0.58
+    width, height = 1.0, 0.58
     return (
         box((width, 0.045, height), (0.0, 0.0, 0.07 + height / 2.0), BLACK_PLASTIC, 0.006),
         box((0.06, 0.05, 0.09), (0.0, 0.02, 0.05), BLACK_PLASTIC),
@@ -234,8 +234,8 @@ def monitor(rng: np.random.Generator) -> Parts:
     return (
         box((0.54, 0.03, 0.33), (0.0, 0.0, 0.30), BLACK_PLASTIC, 0.005),
         box((0.51, 0.004, 0.30), (0.0, -0.0165, 0.30), page, 0.0),
-        box((0.05, 0.03, 0.20), (0.0, 0.025, 0.10), metal()),
-        box((0.22, 0.18, 0.012), (0.0, 0.02, 0.006), metal()),
+        box((0.05, 0.03, 0.20), (0.0, 0.025, 0.10), METAL),
+        box((0.22, 0.18, 0.012), (0.0, 0.02, 0.006), METAL),
         box((0.44, 0.13, 0.02), (0.0, -0.26, 0.01), BLACK_PLASTIC, 0.004),
     )
 

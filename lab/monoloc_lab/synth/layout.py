@@ -155,7 +155,7 @@ class _Builder:
         return chest
 
     def floor_things(self) -> None:
-        self.against("floor lamp", fittings.floor_lamp(600.0))
+        self.against("floor lamp", fittings.floor_lamp())
         self.against("plant", fittings.plant(float(self.rng.uniform(0.8, 1.25)), self.rng))
         if self.rng.uniform() < 0.6:
             self.against("basket", (furniture.rod(0.36, 0.38, (0.0, 0.0, 0.0), a_cloth(self.rng), 1.15),))
@@ -201,7 +201,7 @@ def _living_room(b: _Builder) -> None:
             b.upon("books", furniture.books_lying(b.rng), here, (0.2, 0.0), 0.3)
     stand = b.sideboard()
     if stand is not None:
-        b.upon("television", furniture.television(1.0), stand, (0.0, 0.02))
+        b.upon("television", furniture.television(), stand, (0.0, 0.02))
     b.shelves(2)
     b.floor_things()
     b.against("armchair", furniture.sofa(0.86, a_cloth(b.rng), ()))

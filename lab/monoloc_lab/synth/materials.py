@@ -57,9 +57,6 @@ def fabric(color: Color, accent: Color, seed: int = 0) -> Material:
     return Material("fabric", color, accent, repeat_m=0.5, roughness=0.95, seed=seed)
 
 
-def metal(color: Color = (0.62, 0.62, 0.62), roughness: float = 0.3) -> Material:
-    return Material("plain", color, roughness=roughness, metallic=1.0)
-
-
+METAL = Material("plain", (0.62, 0.62, 0.62), roughness=0.3, metallic=1.0)
 BLACK_PLASTIC = Material("plain", (0.06, 0.06, 0.065), roughness=0.35)
 CERAMIC = Material("plain", (0.85, 0.83, 0.8), roughness=0.25)

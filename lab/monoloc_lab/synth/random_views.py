@@ -36,20 +36,16 @@ def random_light(rng: np.random.Generator) -> Light:
     return Light("any", float(np.exp(rng.uniform(np.log(60.0), np.log(2000.0)))), float(rng.uniform(0.05, 0.95)))
 
 
-def random_views(room: Room, count: int, rng: np.random.Generator) -> FloatArray:
-    """Random poses ``T_world_camera`` at free positions, mostly level, (count, 4, 4)."""
-    places = free_places(room, _PLACES, rng, count)
-    middle = np.array(room.size) / 2.0
-    poses = []
-    for place in places:
-        across = middle - place
-        yaw = np.arctan2(across[1], across[0]) + np.deg2rad(60.0) * rng.standard_normal()
-        pitch, roll = np.deg2rad(rng.normal(10.0, 12.0)), np.deg2rad(rng.normal(0.0, 3.0))
-        forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)])
-        right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-        level = np.stack([right, np.cross(forward, right), forward], axis=1)
-        poses.append(make_pose(level @ so3_exp(np.array([0.0, 0.0, roll])), place))
-    return np.stack(poses)
+def random_view(room: Room, rng: np.random.Generator) -> FloatArray:
+    """A random pose ``T_world_camera`` at a free position, mostly level, (4, 4)."""
+    (place,) = free_places(room, _PLACES, rng, 1)
+    across = np.array(room.size) / 2.0 - place
+    yaw = np.arctan2(across[1], across[0]) + np.deg2rad(60.0) * rng.standard_normal()
+    pitch, roll = np.deg2rad(rng.normal(10.0, 12.0)), np.deg2rad(rng.normal(0.0, 3.0))
+    forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)])
+    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    level = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return make_pose(level @ so3_exp(np.array([0.0, 0.0, roll])), place)
 
 
 def shows_a_room(picture: Picture) -> bool:
@@ -95,7 +91,7 @@ def _render_room(seed: int, views: int, samples: int, out: Path, first: int, ste
     lux = illuminance(renderer, room)
     index = first
     while index < first + views:
-        pose = random_views(room, 1, rng)[0]
+        pose = random_view(room, rng)
         light = random_light(rng)
         picture = renderer.picture(CAMERA, pose, int(rng.integers(1 << 30)))
         if not shows_a_room(picture):
