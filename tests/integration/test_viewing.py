@@ -17,7 +17,7 @@ from monoloc.evaluation.cloud_metrics import cloud_distances, matched_clouds
 from monoloc.viz import viewer
 from monoloc.viz.viewer import run_viewer
 from monoloc_lab.cli import demo
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, room_bundle, write_recording
 from viewer_helpers import Recorded, file_names
 
 FRAMES = 4
@@ -25,7 +25,7 @@ FRAMES = 4
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA))
+    return room_bundle(60, FRAMES)
 
 
 @pytest.fixture(scope="module")

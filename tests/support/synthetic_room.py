@@ -375,6 +375,11 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
     )
 
 
+def room_bundle(components: int, frames: int = 2) -> Bundle:
+    """A bundle of the room with a map of so many components, in which no frame is known."""
+    return make_bundle(room_mixture(Room(), components), RoomRecording(Room(), make_path(frames), SMALL_CAMERA))
+
+
 def write_recording(folder: Path, recording: RoomRecording) -> None:
     """The recording as a ``folder`` recording on disk: PNG colour, 16-bit millimetres, TUM poses."""
     camera = recording.camera

@@ -18,14 +18,14 @@ from monoloc.io.pose_table import COLUMNS
 from monoloc.supervision.state import Reason
 from monoloc.trajectory_output import check_trajectory, trajectory_output
 from refusals import refuses, refuses_data
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 
 POSES = se3_exp(np.random.default_rng(1).standard_normal((4, 6)))
 
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(6), SMALL_CAMERA))
+    return room_bundle(60, 6)
 
 
 def write(path: Path, bundle: Bundle) -> None:

@@ -16,7 +16,7 @@ from monoloc.bundle import Bundle
 from monoloc.io.recording import Recording
 from monoloc_lab.cli import demo
 from monoloc_lab.make import demo_bundle
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 
 LIGHTS = ["L1", "L2", "L3"]
 
@@ -58,7 +58,7 @@ def test_demo_builds_and_writes_bundles_trajectories_and_plots(
 ) -> None:
     """Without the builds, which the slow test has."""
     few_frames(monkeypatch, build=True)
-    bundle = make_bundle(room_mixture(Room(), 50), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    bundle = room_bundle(50)
     builds = []
 
     def build(recording: Recording, config: BuildConfig, *others: Any, network: str) -> tuple[Bundle, None]:

@@ -10,11 +10,11 @@ from monoloc.files import json_text
 from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_file import FlightFile
 from monoloc.version import __version__
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import SMALL_CAMERA, room_bundle
 
 
 def test_a_report_names_versions_and_settings_but_no_place() -> None:
-    bundle = make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    bundle = room_bundle(60)
     bundle = replace(bundle, provenance=bundle.provenance.model_copy(update={"recording": "janes kitchen"}))
     flight = FlightFile(
         room=Path("/home/jane/secret.monoloc"),

@@ -23,12 +23,12 @@ from monoloc.flight.mcap_log import McapLog, ros_frames_of, step_recorder
 from monoloc.obstacles import tells_obstacles
 from monoloc.ros.mcap_file import StepRecorder
 from monoloc.step import Step
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(6), SMALL_CAMERA))
+    return room_bundle(60, 6)
 
 
 def recorder_of(path: Path, bundle: Bundle, obstacles: bool = True) -> StepRecorder:

@@ -11,12 +11,12 @@ from monoloc.bundle import Bundle
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import make_pose, so3_exp
 from monoloc.obstacles import DepthError
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 40), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    return room_bundle(40)
 
 
 def test_parts_add_up_and_only_a_tuned_network_is_measured(bundle: Bundle) -> None:

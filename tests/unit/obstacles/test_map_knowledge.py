@@ -12,7 +12,7 @@ from monoloc.geometry import make_pose
 from monoloc.map import occupancy
 from monoloc.obstacles import MOST_M, DepthError, MapKnowledge, Surroundings
 from refusals import refuses_setting
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 
 # In the room, y points down: a level vehicle that looks along z, with x to its right.
 T_WORLD_LEVEL = make_pose(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), [0.0, 0.0, 0.0])
@@ -21,7 +21,7 @@ ERROR = DepthError(0.05, 0.0, True)
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 120), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    return room_bundle(120)
 
 
 def live(distances: dict[int, float]) -> Surroundings:

@@ -18,7 +18,7 @@ from monoloc.geometry import make_pose
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.obstacles import DepthError, Knowledge, ObstacleWatch
 from monoloc.obstacles.local_occupancy import FreeSpace
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 
 LEVEL = Mount().T_body_camera
 # In the room, y points down: a level vehicle that looks along z, with x to its right.
@@ -28,7 +28,7 @@ POSE = T_WORLD_LEVEL @ LEVEL
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 120), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    return room_bundle(120)
 
 
 def test_map_tells_what_live_depth_misses_unless_the_camera_is_lost(bundle: Bundle) -> None:

@@ -30,11 +30,6 @@ from monoloc_lab.rooms import BUILD
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 
-@pytest.fixture(scope="module")
-def right() -> RoomRecording:
-    return RoomRecording(Room(), make_path(24, rate_hz=3.0), SMALL_CAMERA)
-
-
 def test_correlation_with_edges_is_the_mean_of_template_matches() -> None:
     rng, search_px = np.random.default_rng(0), 16
     images, weights = (rng.uniform(0.0, 4.0, (3, 48, 64)).astype(np.float32) for _ in range(2))

@@ -23,12 +23,6 @@ from synthetic_room import SMALL_CAMERA, Room, RoomRecording
 CALIBRATE = "calibrate the camera, or check that the intrinsics are of this image size"
 
 
-@pytest.fixture(scope="module")
-def room() -> tuple[Recording, Matches]:
-    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
-    return recording, match_corners(recording)
-
-
 def test_right_intrinsics_are_not_doubted(room: tuple[Recording, Matches]) -> None:
     recording, matches = room
     assert list(intrinsics_warnings(Evidence(recording, matches, None), recording.camera)) == []

@@ -31,20 +31,13 @@ from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.pose_fixes import parse_pose_fixes
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording
-from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.correspondences import Matches
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.inspection import inspect_recording
 from monoloc.recording_check.pose_check import check_matches, check_poses, compare_poses, require_agreement
 from monoloc_lab.rooms import BUILD, TESTS
 from synthetic_room import FRAME_RATE_HZ, SMALL_CAMERA, Room, RoomRecording, make_path
-
-
-@pytest.fixture(scope="module")
-def room() -> tuple[Recording, Matches]:
-    """A right recording, and its corners."""
-    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
-    return recording, match_corners(recording)
 
 
 def test_right_recordings_agree(room: tuple[Recording, Matches]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from altered_recordings import Altered
@@ -11,7 +10,7 @@ from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
 from monoloc.recording_check.inspection import inspect_recording
 from monoloc.recording_check.repeated_images import find_repeats
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+from synthetic_room import RoomRecording
 
 
 class Frozen(Altered):
@@ -26,11 +25,6 @@ class FrozenOnce(Altered):
 
     def color(self, index: int) -> NDArray[np.uint8]:
         return super().color(12 if index == 13 else index)
-
-
-@pytest.fixture(scope="module")
-def right() -> RoomRecording:
-    return RoomRecording(Room(), make_path(24, rate_hz=3.0), SMALL_CAMERA)
 
 
 def test_images_that_change_with_the_poses_are_not_doubted(right: RoomRecording) -> None:

@@ -25,7 +25,7 @@ from monoloc.particle_filter.particles import Particles
 from monoloc.supervision.state import Reason
 from monoloc.viz.flight_drawing import FlightDrawing, flight_blueprint
 from monoloc.viz.flight_view import FlightView, _check_free, disconnect, has_connection
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import room_bundle
 from viewer_helpers import Recorded
 
 PARTICLES = Particles(np.eye(4)[None], np.zeros(1), np.zeros(1))
@@ -46,7 +46,7 @@ def in_place(result: FlightStep, entered: Bundle | None) -> FlightStep:
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
-    return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    return room_bundle(60)
 
 
 class Held:
