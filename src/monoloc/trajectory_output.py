@@ -116,16 +116,16 @@ TABLE, MCAP, TRAJECTORY = ".csv", ".mcap", (".txt", ".tum")
 SUFFIXES = (*TRAJECTORY, TABLE, MCAP)
 
 
-def check_trajectory(path: Path, option: str) -> None:
-    """Reject a path whose suffix is not that of a trajectory, or that cannot be written, before long work starts.
+def check_trajectory(path: Path) -> None:
+    """Reject an ``--out`` that has no suffix of a trajectory, or that cannot be written, before long work starts.
 
     Raises:
-        SettingError: the suffix is another; the error names the option.
+        SettingError: the suffix is another.
         MissingExtraError: a library for the format is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise SettingError(option, f"{path} has no suffix of a trajectory", f"choose from {', '.join(SUFFIXES)}")
+        raise SettingError("--out", f"{path} has no suffix of a trajectory", f"choose from {', '.join(SUFFIXES)}")
     if suffix == MCAP:
         require_mcap()
 

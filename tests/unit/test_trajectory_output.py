@@ -87,4 +87,4 @@ def test_an_mcap_file_is_whole_or_not_there(bundle: Bundle, tmp_path: Path) -> N
 @pytest.mark.parametrize("name", ["trajectory", "trajectory.json"])
 def test_another_suffix_is_refused(name: str) -> None:
     fix = r"choose from \.txt, \.tum, \.csv, \.mcap"
-    refuses(lambda: check_trajectory(Path(name), "--out"), SettingError, f"^--out: {name} has no suffix .*; {fix}")
+    refuses(lambda: check_trajectory(Path(name)), SettingError, f"^--out: {name} has no suffix .*; {fix}")

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
+from monoloc.bundle_manifest import MANIFEST
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -64,9 +65,9 @@ def check(
       monoloc check kitchen.monoloc second-recording
     """
     bundle_path, source = (None, target) if source is None else (Path(target), source)
-    if bundle_path is None and (Path(target) / "manifest.json").is_file():
+    if bundle_path is None and (Path(target) / MANIFEST).is_file():
         raise SettingError("SOURCE", "is missing after the bundle", "give the recording to compare it with")
-    if bundle_path is not None and (Path(source) / "manifest.json").is_file():
+    if bundle_path is not None and (Path(source) / MANIFEST).is_file():
         raise SettingError("SOURCE", f"{source} is a bundle", f"give it first: monoloc check {source} {target}")
     check_outputs({"--plot": plot}, (bundle_path, source, cloud))
     check_picture(plot, "--plot")

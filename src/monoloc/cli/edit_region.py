@@ -48,7 +48,7 @@ def corners_of(bundle: Path, box: str | None, changed: Path | None) -> tuple[Flo
     if changed is not None:
         return read_changed_region(changed, bundle)
     assert box is not None
-    return parse_box(box, "--box")
+    return parse_box(box)
 
 
 def box_of(bundle: Bundle, corners: tuple[FloatArray, FloatArray], yaw_deg: float) -> Box:

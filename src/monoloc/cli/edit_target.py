@@ -15,7 +15,7 @@ from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.bundle_output import SIGNATURE_REMOVED, check_bundle_output, note_replaced
 from monoloc.cli.common import note, print_figures, stderr, warn
 from monoloc.edit_record import EditRecord
-from monoloc.editing.unchanged import AsFound
+from monoloc.editing.as_found import AsFound
 from monoloc.files import target_of
 
 _COUNTS = ("components", "landmarks", "reference_poses")  # of an edit's changes: numbers before and after it

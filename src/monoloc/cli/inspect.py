@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import Bundle, read_bundle
-from monoloc.bundle_manifest import PLACE_MANIFEST
+from monoloc.bundle_manifest import MANIFEST, PLACE_MANIFEST, manifest_content
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.camera import Camera
 from monoloc.cli.common import (
@@ -59,7 +59,7 @@ def inspect(
     if (Path(target) / PLACE_MANIFEST).is_file():
         fix = f"describe it by: monoloc place info {shlex.quote(target)}"
         raise DataError(target, "is a place of several rooms", fix, "how-to/many-rooms")
-    if (Path(target) / "manifest.json").is_file():
+    if (Path(target) / MANIFEST).is_file():
         refuse_frames(frames, "a bundle")
         if intrinsics is not None:
             raise SettingError("--camera", "has no meaning for a bundle", "leave it out")
@@ -74,7 +74,7 @@ def _bundle(path: Path) -> dict[str, object]:
     lower, upper = bundle.adapted.bounds_m(EXTENT_SIGMAS)
     content: dict[str, object] = {
         "kind": "bundle",
-        "monoloc_version": loads((path / "manifest.json").read_bytes())["monoloc_version"],
+        "monoloc_version": loads(manifest_content(path))["monoloc_version"],
         "is_signed": (path / SIGNATURE).is_file(),
         "bytes": sum(file.stat().st_size for file in path.iterdir()),
         "components": len(bundle.adapted),

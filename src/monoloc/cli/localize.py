@@ -150,7 +150,7 @@ def localize_command(
     read = (bundle, source, require_signature, gyroscope, odometry, mount)
     check_outputs({"--out": out, "--plot": plot, "--record": record}, read)
     if out is not None:
-        check_trajectory(out, "--out")
+        check_trajectory(out)
     check_picture(plot, "--plot")
     check_viewing(view, record)
     errors = {"start_error_cm": start_error_cm, "start_error_deg": start_error_deg}

@@ -31,8 +31,8 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.editing.as_found import AsFound
 from monoloc.editing.edit_history import drawn_edits
-from monoloc.editing.unchanged import AsFound
 from monoloc.errors import DataError, SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording

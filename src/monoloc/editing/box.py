@@ -56,16 +56,16 @@ class Box:
         return np.asarray(self.centre + (signs * self.half) @ self.R_world_box.T)
 
 
-def parse_box(text: str, option: str) -> tuple[FloatArray, FloatArray]:
-    """Two opposite corners (3,) each, the lower one first, from six numbers with commas.
+def parse_box(text: str) -> tuple[FloatArray, FloatArray]:
+    """Two opposite corners (3,) each, the lower one first, from the six numbers of ``--box``.
 
     Raises:
         SettingError: they are not, or the box is flat.
     """
-    values = parse_numbers(text, 6, _FORM, option)
+    values = parse_numbers(text, 6, _FORM, "--box")
     lower, upper = np.minimum(values[:3], values[3:]), np.maximum(values[:3], values[3:])
     if np.any(upper - lower <= 0.0):
-        raise SettingError(option, f"is {text!r}, a box without volume", f"give two opposite corners as {_FORM}")
+        raise SettingError("--box", f"is {text!r}, a box without volume", f"give two opposite corners as {_FORM}")
     return lower, upper
 
 

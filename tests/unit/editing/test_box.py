@@ -30,14 +30,14 @@ def test_yaw_turns_about_the_vertical_right_handed() -> None:
 
 
 def test_corners_may_be_given_in_any_order() -> None:
-    lower, upper = parse_box("2,0,1,0,1,0", "--box")
+    lower, upper = parse_box("2,0,1,0,1,0")
     assert lower.tolist() == LOWER.tolist() and upper.tolist() == UPPER.tolist()
 
 
 @pytest.mark.parametrize("text", ["1,2,3", "a,b,c,d,e,f", "0,0,0,1,1,nan", ""])
 def test_box_that_is_no_six_numbers_is_refused(text: str) -> None:
-    refuses_setting(lambda: parse_box(text, "--box"), "--box", "is", "write X0,Y0,Z0,X1,Y1,Z1 in metres")
+    refuses_setting(lambda: parse_box(text), "--box", "is", "write X0,Y0,Z0,X1,Y1,Z1 in metres")
 
 
 def test_flat_box_is_refused() -> None:
-    refuses_setting(lambda: parse_box("0,0,0,1,1,0", "--box"), "--box", "without volume", "two opposite corners")
+    refuses_setting(lambda: parse_box("0,0,0,1,1,0"), "--box", "without volume", "two opposite corners")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from monoloc.editing.unchanged import AsFound
+from monoloc.editing.as_found import AsFound
 from refusals import refuses_data
 
 
