@@ -55,9 +55,10 @@ def box_of(bundle: Bundle, corners: tuple[FloatArray, FloatArray], yaw_deg: floa
     return Box.between(*corners, _down_for(bundle, yaw_deg, "--yaw"), float(np.deg2rad(yaw_deg)))
 
 
-def box_parameters(corners: tuple[FloatArray, FloatArray], yaw_deg: float) -> dict[str, object]:
+def box_parameters(corners: tuple[FloatArray, FloatArray], yaw_deg: float, changed: Path | None) -> dict[str, object]:
     lower, upper = corners
-    return {"lower_m": lower.tolist(), "upper_m": upper.tolist(), "yaw_deg": yaw_deg}
+    named = {} if changed is None else {"changed": str(changed)}
+    return {"lower_m": lower.tolist(), "upper_m": upper.tolist(), "yaw_deg": yaw_deg, **named}
 
 
 def turn_of(bundle: Bundle, turn_deg: float) -> FloatArray:

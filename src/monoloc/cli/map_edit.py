@@ -104,10 +104,9 @@ def remove_command(
     """
     check_angle(yaw, "--yaw")
     rng = np.random.default_rng(seed)
-    named = {"changed": str(changed)} if changed is not None else {}
     corners = corners_of(edit_target(context).path, box, changed)
     inputs = [] if changed is None else [changed]
-    parameters = {**box_parameters(corners, yaw), **named}
+    parameters = box_parameters(corners, yaw, changed)
 
     def change(bundle: Bundle) -> Bundle:
         with naming({"box": "--box" if changed is None else "--changed"}):
@@ -182,7 +181,7 @@ def move_command(
         raise SettingError("--by", "moves nothing", "give a shift, or --turn")
     corners = corners_of(edit_target(context).path, box, changed)
     rng = np.random.default_rng(seed)
-    parameters = {**box_parameters(corners, yaw), "by_m": shift.tolist(), "turn_deg": turn}
+    parameters = {**box_parameters(corners, yaw, changed), "by_m": shift.tolist(), "turn_deg": turn}
     inputs = [] if changed is None else [changed]
 
     def change(bundle: Bundle) -> Bundle:

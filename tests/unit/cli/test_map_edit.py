@@ -112,7 +112,7 @@ def test_turn_in_a_map_that_does_not_tell_gravity_is_warned_of(
     assert err.startswith(warned) if option else "warning" not in err
 
 
-def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_region_of_a_run_is_moved_or_removed(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     region = {
         "lower_m": (CUBE.centre - CUBE.half).tolist(),
         "upper_m": (CUBE.centre + CUBE.half).tolist(),
@@ -120,8 +120,10 @@ def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str
     }
     run = {"digest": digest_of(here / "room.monoloc"), "changed_regions": [region]}
     (here / "run.json").write_text(json.dumps(run))
+    moved = json_of(capfd, *EDIT, "move", "--changed", "run.json", "--by", "0.1,0,0")
+    json_of(capfd, *EDIT, "undo")
     edited = json_of(capfd, *EDIT, "remove", "--changed", "run.json")
-    assert edited["parameters"]["changed"] == "run.json"
+    assert moved["parameters"]["changed"] == edited["parameters"]["changed"] == "run.json"
     assert not CUBE.contains(read_bundle(here / "room.monoloc").landmarks.points.astype(np.float64)).any()
     # The room is another one now: what else lies in the box was not what the run saw.
     for again in (("remove",), ("move", "--by", "1,0,0")):
