@@ -37,6 +37,7 @@ from monoloc_lab.bench.networks import bench_networks
 from monoloc_lab.bench.scenes import synthetic_cloud
 from monoloc_lab.bench.whole_step import bench_pipeline
 from monoloc_lab.cli.bench_ageing import ageing
+from monoloc_lab.cli.bench_compare import compare
 from monoloc_lab.cli.bench_flights import faults, fly, recovery, soak, stop
 from monoloc_lab.cli.bench_place import place
 
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Measure speed, compared with alternatives, and reliability.", no_args_is_help=True, rich_markup_mode=None
 )
+app.command()(compare)
 app.command()(ageing)
 app.command()(recovery)
 app.command()(faults)
