@@ -207,12 +207,23 @@ auto leverages(const Vectors& points, const Pixels& rays, const Pixels& sd, cons
 nb::tuple fit_log_focal(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
                         const Square<7>& information, const Scalars& kernel_sds, double nearest_m) {
   const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
-  monoloc::FocalFit fit;
+  monoloc::LogRatio fit;
   {
     nb::gil_scoped_release release;
     fit = monoloc::fit_log_focal(seen, pose.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
   }
-  return nb::make_tuple(fit.log_focal, fit.sd);
+  return nb::make_tuple(fit.value, fit.sd);
+}
+
+nb::tuple fit_log_aspect(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
+                         const Square<8>& information, const Scalars& kernel_sds, double nearest_m) {
+  const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
+  monoloc::LogRatio fit;
+  {
+    nb::gil_scoped_release release;
+    fit = monoloc::fit_log_aspect(seen, pose.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
+  }
+  return nb::make_tuple(fit.value, fit.sd);
 }
 
 nb::tuple find_consensus(const Vectors& points, const Pixels& rays, const Pixels& sd, double nearest_m, double most_sd,
@@ -289,6 +300,8 @@ NB_MODULE(_core, m) {
         "nearest_m"_a);
   m.def("leverages", &leverages, "points"_a, "rays"_a, "sd"_a, "pose"_a, "covariance"_a, "weights"_a, "nearest_m"_a);
   m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
+        "nearest_m"_a);
+  m.def("fit_log_aspect", &fit_log_aspect, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
   m.def("adjust_window", &adjust_window, "poses"_a, "points"_a, "rays"_a, "log_depth"_a, "ray_sd"_a,
         "log_depth_sd"_a, "iterations"_a);

@@ -92,22 +92,26 @@ NormalEquations<6> pose_equations(const SeenLandmarks& seen, const Motion& pose,
   return equations;
 }
 
-// Normal equations of the pose and the logarithm of the focal length.
-NormalEquations<7> focal_equations(const SeenLandmarks& seen, const Motion& pose, double log_focal, double kernel_sd) {
-  NormalEquations<7> equations;
+// Normal equations of the pose and of logarithms: of the focal length and, with eight unknowns, of the aspect.
+template <std::size_t size>
+NormalEquations<size> lens_equations(const SeenLandmarks& seen, const Motion& pose,
+                                     const std::array<double, size - 6>& logarithms, double kernel_sd) {
+  NormalEquations<size> equations;
   const Motion camera_from_world = inverse(pose);
   // A ray is a pixel over the focal length, and so is its standard deviation: residuals stay in pixels. If only the
   // rays shrank, those of a long focal length would be small wherever the landmarks are.
-  const double shrink = std::exp(-log_focal);
+  double shrink[2] = {std::exp(-logarithms[0]), std::exp(-logarithms[0])};
+  if constexpr (size == 8) shrink[1] = std::exp(-logarithms[0] - logarithms[1]);
   for (std::size_t n = 0; n < seen.count; ++n) {
-    const double ray[2] = {seen.rays[2 * n] * shrink, seen.rays[2 * n + 1] * shrink};
-    const double sd[2] = {seen.sd[2 * n] * shrink, seen.sd[2 * n + 1] * shrink};
+    const double ray[2] = {seen.rays[2 * n] * shrink[0], seen.rays[2 * n + 1] * shrink[1]};
+    const double sd[2] = {seen.sd[2 * n] * shrink[0], seen.sd[2 * n + 1] * shrink[1]};
     const Residuals residuals(local_point(seen, camera_from_world, n), ray, sd);
     const double weight = residuals.weight(kernel_sd);
     for (std::size_t axis = 0; axis < 2; ++axis) {
-      std::array<double, 7> row;
+      std::array<double, size> row;
       std::copy_n(residuals.jacobian[axis].begin(), 6, row.begin());
       row[6] = residuals.value[axis] + ray[axis] / sd[axis];
+      if constexpr (size == 8) row[7] = axis == 1 ? row[6] : 0.0;
       equations.add(row, weight, residuals.value[axis]);
     }
   }
@@ -118,6 +122,33 @@ NormalEquations<7> focal_equations(const SeenLandmarks& seen, const Motion& pose
 // Moves a pose against the first six entries of a step.
 Motion moved(const Motion& pose, const double* step) {
   return compose(pose, se3_exp({-step[0], -step[1], -step[2], -step[3], -step[4], -step[5]}));
+}
+
+// The last of the logarithms, fitted with the pose and the others.
+template <std::size_t size>
+LogRatio fit_lens(const SeenLandmarks& seen, const double* pose, const double* information,
+                  const KernelSchedule& kernels) {
+  const Motion start = motion_of(pose), from_start = inverse(start);
+  Motion now = start;
+  std::array<double, size - 6> logarithms{};
+  LogRatio fit{0.0, 0.0};
+  for (std::size_t k = 0; k < kernels.count; ++k) {
+    NormalEquations<size> equations = lens_equations<size>(seen, now, logarithms, kernels.sds[k]);
+    const Vec6 twist = se3_log(compose(from_start, now));
+    std::array<double, size> offset;
+    std::copy(twist.begin(), twist.end(), offset.begin());
+    std::copy(logarithms.begin(), logarithms.end(), offset.begin() + 6);
+    equations.add_prior(information, offset);
+    std::array<double, size * size> normal = equations.normal;
+    std::array<double, size> variance{};
+    variance[size - 1] = 1.0;  // for the last column of the inverse
+    solve(normal.data(), variance.data(), size);
+    solve(equations.normal.data(), equations.gradient.data(), size);
+    now = moved(now, equations.gradient.data());
+    for (std::size_t i = 0; i < logarithms.size(); ++i) logarithms[i] -= equations.gradient[6 + i];
+    fit = {logarithms.back(), std::sqrt(variance[size - 1])};
+  }
+  return fit;
 }
 
 }  // namespace
@@ -158,26 +189,14 @@ std::vector<double> leverages(const SeenLandmarks& seen, const double* pose, con
   return found;
 }
 
-FocalFit fit_log_focal(const SeenLandmarks& seen, const double* pose, const double* information,
+LogRatio fit_log_focal(const SeenLandmarks& seen, const double* pose, const double* information,
                        const KernelSchedule& kernels) {
-  const Motion start = motion_of(pose), from_start = inverse(start);
-  Motion now = start;
-  FocalFit fit{0.0, 0.0};
-  for (std::size_t k = 0; k < kernels.count; ++k) {
-    NormalEquations<7> equations = focal_equations(seen, now, fit.log_focal, kernels.sds[k]);
-    const Vec6 twist = se3_log(compose(from_start, now));
-    std::array<double, 7> offset;
-    std::copy(twist.begin(), twist.end(), offset.begin());
-    offset[6] = fit.log_focal;
-    equations.add_prior(information, offset);
-    std::array<double, 49> normal = equations.normal;
-    std::array<double, 7> variance{0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};  // the last column of the inverse
-    solve(normal.data(), variance.data(), 7);
-    solve(equations.normal.data(), equations.gradient.data(), 7);
-    now = moved(now, equations.gradient.data());
-    fit = {fit.log_focal - equations.gradient[6], std::sqrt(variance[6])};
-  }
-  return fit;
+  return fit_lens<7>(seen, pose, information, kernels);
+}
+
+LogRatio fit_log_aspect(const SeenLandmarks& seen, const double* pose, const double* information,
+                        const KernelSchedule& kernels) {
+  return fit_lens<8>(seen, pose, information, kernels);
 }
 
 }  // namespace monoloc

@@ -80,10 +80,18 @@ void test_landmark_pose() {
   for (std::size_t i = 0; i < 16; ++i) CHECK(std::abs(kept.pose[i] - prior[i]) < 1e-6);
 
   // The focal length by which the rays are too long.
-  const monoloc::FocalFit focal =
+  const monoloc::LogRatio focal =
       monoloc::fit_log_focal(Scene(1.05).seen(), origin.data(), diagonal(7, 1e-3).data(), {kKernels, 6});
-  CHECK(std::abs(focal.log_focal - std::log(1.05)) < 1e-6);
+  CHECK(std::abs(focal.value - std::log(1.05)) < 1e-6);
   CHECK(focal.sd > 0.0 && focal.sd < 0.01);
+
+  // And the aspect, whatever the focal length is.
+  Scene stretched(1.05);
+  for (std::size_t i = 0; i < kPoints; ++i) stretched.rays[2 * i + 1] *= 1.1;
+  const monoloc::LogRatio aspect =
+      monoloc::fit_log_aspect(stretched.seen(), origin.data(), diagonal(8, 1e-3).data(), {kKernels, 6});
+  CHECK(std::abs(aspect.value - std::log(1.1)) < 1e-6);
+  CHECK(aspect.sd > 0.0 && aspect.sd < 0.01);
 
   // A NaN reaches all weights; without information there is no solution.
   Scene broken;

@@ -59,6 +59,9 @@ def leverages(
 def fit_log_focal(
     points: _F64, rays: _F64, sd: _F64, pose: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
 ) -> tuple[float, float]: ...
+def fit_log_aspect(
+    points: _F64, rays: _F64, sd: _F64, pose: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
+) -> tuple[float, float]: ...
 def adjust_window(
     poses: _F64,
     points: _F64,

@@ -40,14 +40,18 @@ PoseFit fit_pose(const SeenLandmarks& seen, const double* prior, const double* i
 std::vector<double> leverages(const SeenLandmarks& seen, const double* pose, const double* covariance,
                               const double* weights);
 
-// Logarithm of true over stated focal length, and its standard deviation.
-struct FocalFit {
-  double log_focal, sd;
+// Logarithm of a true over a stated value, and its standard deviation.
+struct LogRatio {
+  double value, sd;
 };
 
-// With the pose, from a pose (4, 4) and a log-focal of 0 as a prior with an information matrix (7, 7).
-// NaN if an argument is. Throws std::domain_error if a step's normal matrix is singular.
-FocalFit fit_log_focal(const SeenLandmarks& seen, const double* pose, const double* information,
+// Of the focal length, with the pose, from a pose (4, 4) and a log-focal of 0 as a prior with an information matrix
+// (7, 7). NaN if an argument is. Throws std::domain_error if a step's normal matrix is singular.
+LogRatio fit_log_focal(const SeenLandmarks& seen, const double* pose, const double* information,
                        const KernelSchedule& kernels);
+
+// Of the aspect: the focal length along y over that along x. With pose and focal length, as above; information (8, 8).
+LogRatio fit_log_aspect(const SeenLandmarks& seen, const double* pose, const double* information,
+                        const KernelSchedule& kernels);
 
 }  // namespace monoloc

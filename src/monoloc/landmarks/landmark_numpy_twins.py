@@ -107,7 +107,7 @@ def leverages(
     return np.asarray(weights * np.einsum("mri,ij,mrj->m", jacobian, covariance, jacobian))
 
 
-def fit_log_focal(
+def fit_lens(
     points: FloatArray,
     rays: FloatArray,
     sd: FloatArray,
@@ -116,27 +116,31 @@ def fit_log_focal(
     kernel_sds: FloatArray,
     nearest_m: float,
 ) -> tuple[float, float]:
-    """Logarithm of true over stated focal length, and its standard deviation, from landmarks (M, 3) seen as rays.
+    """Logarithm of a true over a stated property of the lens, and its standard deviation, from landmarks (M, 3).
 
-    The residuals of a wrong focal length grow with the radius; a step along the view takes up a part of them. So pose
-    and focal length are estimated together, again from a wide kernel, since those that agreed with a wrong focal
-    length are near the centre.
+    With seven unknowns, of the focal length; with eight, of the aspect: the focal length along y over that along x,
+    fitted together with the focal length. The residuals of a wrong focal length grow with the radius; a step along
+    the view takes up a part of them. So pose and lens are estimated together, again from a wide kernel, since
+    landmarks that agreed with a wrong lens are near the centre.
 
     Args:
         pose, information: prior ``T_world_camera``, (4, 4), and the inverse covariance of its twist and of the
-            logarithm, (7, 7).
+            logarithms, (7, 7) or (8, 8).
     """
-    start, log_focal = pose, 0.0
+    start, logarithms = pose, np.zeros(len(information) - 6)
+    # What each does to a ray's x and y.
+    effect = np.array([[1.0, 1.0], [0.0, 1.0]])[: len(logarithms)]
     for kernel_sd in kernel_sds:
-        shrink = np.exp(-log_focal)  # a ray is a pixel over the focal length, and so is its standard deviation
+        shrink = np.exp(-logarithms @ effect)  # a ray is a pixel over the focal length, and so is its deviation
         residuals, jacobian = _residuals(pose, points, shrink * rays, shrink * sd, nearest_m)
-        columns = np.concatenate([jacobian, (residuals + rays / sd)[..., None]], axis=2).reshape(-1, 7)
+        by_logarithms = (residuals + rays / sd)[..., None] * effect.T
+        columns = np.concatenate([jacobian, by_logarithms], axis=2).reshape(-1, len(information))
         weighted = columns * np.repeat(_weights(residuals, kernel_sd), 2)[:, None]
         normal = weighted.T @ columns + information
-        offset = np.append(se3_log(invert(start) @ pose), log_focal)
+        offset = np.append(se3_log(invert(start) @ pose), logarithms)
         step = -np.linalg.solve(normal, weighted.T @ residuals.ravel() + information @ offset)
-        pose, log_focal = pose @ se3_exp(step[:6]), log_focal + float(step[6])
-    return log_focal, float(np.sqrt(np.linalg.inv(normal)[6, 6]))
+        pose, logarithms = pose @ se3_exp(step[:6]), logarithms + step[6:]
+    return float(logarithms[-1]), float(np.sqrt(np.linalg.inv(normal)[-1, -1]))
 
 
 def _normal_equations(

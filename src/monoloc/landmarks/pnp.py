@@ -27,10 +27,11 @@ _KERNEL_SDS = np.array([24.0, 12.0, 6.0, 3.0, 3.0, 3.0])
 _LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
 _UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
 _NEAREST_M = 0.05  # depth of a landmark
-# Narrower, since the pose is known except for the effect of the focal length.
-_FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
-# Prior of the pose's error by a wrong focal length, and of the logarithm of that length: inverse covariance, (7, 7).
-_FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
+# Narrower, since the pose is known except for the effect of the lens.
+_LENS_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
+# Prior of the pose's error by a wrong lens, and of the logarithms of its focal length and aspect: inverse covariance.
+_ASPECT_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 2]) ** -2)
+_FOCAL_INFORMATION = np.diag(np.diag(_ASPECT_INFORMATION)[:7])
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
 _MOST_LEVERAGE = 1.0  # of a match, out of 2: above, the pose follows this match more than all others together
 _AGREE_PX, _LEAST_AGREEING, _CONFIDENCE = 4.0, 8, 1.0 - 1e-6  # with a pose of a triple
@@ -50,6 +51,9 @@ class LandmarkPose:
         log_focal: logarithm of true over stated focal length under which the landmarks fit best; 0 where it is not
             known.
         log_focal_sd: its standard deviation, by the corners' localisation error alone.
+        log_aspect: logarithm of the true over the stated aspect of the lens, the focal length along y over that along
+            x, under which the landmarks fit best; 0 where it is not known.
+        log_aspect_sd: as ``log_focal_sd``.
         rivals: (K, 6) twists from it to other poses that the landmarks allow, in the camera's frame: a flat view has
             several, and the covariance at one of them does not cover the others.
         rival_nats: (K,) by how much less likely these are, by the corners' localisation error alone; not negative.
@@ -63,6 +67,8 @@ class LandmarkPose:
     points: FloatArray
     log_focal: float = 0.0
     log_focal_sd: float = math.inf
+    log_aspect: float = 0.0
+    log_aspect_sd: float = math.inf
     rivals: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
     rival_nats: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -204,14 +210,14 @@ class PoseFit:
     weights: FloatArray
 
     def measurement(self) -> LandmarkPose:
-        """The pose with what the same matches say of the focal length and of rivals."""
-        focal = _core.fit_log_focal(
-            self.points, self.rays, self.sd, self.pose, _FOCAL_INFORMATION, _FOCAL_KERNEL_SDS, _NEAREST_M
-        )
+        """The pose with what the same matches say of the lens and of rivals."""
+        seen = self.points, self.rays, self.sd, self.pose
+        focal = _core.fit_log_focal(*seen, _FOCAL_INFORMATION, _LENS_KERNEL_SDS, _NEAREST_M)
+        aspect = _core.fit_log_aspect(*seen, _ASPECT_INFORMATION, _LENS_KERNEL_SDS, _NEAREST_M)
         rivals, nats = self.rivals
         less_likely = np.maximum(nats - _nats(self.weights), 0.0)
         points = self.points[self.weights > _AGREE_WEIGHT]
-        return LandmarkPose(self.pose, self.covariance, points, *focal, rivals, less_likely)
+        return LandmarkPose(self.pose, self.covariance, points, *focal, *aspect, rivals, less_likely)
 
     @cached_property
     def rivals(self) -> tuple[FloatArray, FloatArray]:

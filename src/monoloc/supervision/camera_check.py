@@ -1,9 +1,9 @@
-"""How far the camera's stated focal length is trusted: whether it is the build's, and what landmarks say of it."""
+"""How far the stated lens is trusted: whether its focal length is the build's, and what landmarks say of it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean
 # Standard deviations of one view by which that mean must differ. The mean's own would be too small: landmarks are
 # misplaced alike in neighbouring views.
 _SURE_SDS = 3.0
-_LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
+_LEAST_DIFFERENCE = 0.04  # smaller ones, of log-focal or log-aspect, move a pose by little more than is stated
 # Standard deviation of the log-focal of a camera that is not the build's: before landmarks have measured it for a
 # while, and from which on it counts as confirmed.
 _UNMEASURED_SD, _CONFIRMED_SD = 0.1, 0.05
@@ -35,7 +35,11 @@ _MEASURED_S = 1.0
 
 def log_focal_sd(pose: LandmarkPose) -> float:
     """Standard deviation of a landmark pose's log-focal, with the errors that landmarks have in common."""
-    return pose.log_focal_sd * math.sqrt(min(max(1.0, COMMON_ERROR * len(pose.points)), _MOST_COMMON))
+    return pose.log_focal_sd * _common_factor(pose)
+
+
+def _common_factor(pose: LandmarkPose) -> float:
+    return math.sqrt(min(max(1.0, COMMON_ERROR * len(pose.points)), _MOST_COMMON))
 
 
 def tells_focal(pose: LandmarkPose) -> bool:
@@ -46,16 +50,44 @@ def tells_focal(pose: LandmarkPose) -> bool:
 def has_same_focal(camera: Camera, other: Camera) -> bool:
     """Whether two cameras have the same focal length relative to the longer side of their images."""
     ratio = camera.focal_px / max(camera.width, camera.height) * max(other.width, other.height) / other.focal_px
-    return abs(math.log(ratio)) <= _LEAST_LOG_FOCAL
+    return abs(math.log(ratio)) <= _LEAST_DIFFERENCE
+
+
+@dataclass
+class _ViewMean:
+    """Mean of a logarithm over views, which fade: sums of it by its information, of information, and of views."""
+
+    total: float = 0.0
+    information: float = 0.0
+    views: float = 0.0
+
+    def add(self, value: float, sd: float, decay: float, part: float) -> None:
+        """Add a part of a view, after the others have faded."""
+        information = part * sd**-2
+        self.total = decay * self.total + information * value
+        self.information = decay * self.information + information
+        self.views = decay * self.views + part
+
+    @property
+    def mean(self) -> float:
+        return self.total / self.information
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of a view's logarithm, by the mean information of views."""
+        return math.sqrt(self.views / self.information)
 
 
 class CameraCheck:
-    """Compares the focal length under which landmarks fit best with the build's, and widens the covariance by it.
+    """Compares the lens under which landmarks fit best with the stated one, and widens the covariance by it.
 
     In a flat view a wrong focal length fits nearly as well as the right one: it moves the camera along its optical
     axis, and both landmarks and predicted depth agree. The evidence for the stated one is that the build had the
     same. Any other widens the covariance along that axis, by as much as landmarks leave possible. That of the build
     does too where landmarks are sure of another, as while an autofocus searches.
+
+    The aspect of the lens differs from the stated one where an image was stretched along one axis. Flat views
+    determine it as well as others do.
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
@@ -68,8 +100,7 @@ class CameraCheck:
     def __init__(self, mean: float, sd: float, has_build_focal: bool) -> None:
         self._expected, self._expected_sd = mean, sd
         self._views, self._left_s = DistinctViews(), 0.0  # that still counts of the present view
-        # Sums over views that fade: of log-focal by its information, of information, and of views.
-        self._sum, self._information, self._view_count = 0.0, 0.0, 0.0
+        self._focal, self._aspect = _ViewMean(), _ViewMean()
         self._measured_s = 0.0
         self.has_build_focal = has_build_focal
         self._measured_sd = _UNMEASURED_SD  # of the stated log-focal; the least in this flight, which has one camera
@@ -81,8 +112,13 @@ class CameraCheck:
         """Whether the camera is not the stated one."""
         if self._measured_s < _LEAST_S:
             return False
-        bound = max(_LEAST_LOG_FOCAL, _MOST_SD * self._expected_sd)
-        return self._difference > math.hypot(bound, _SURE_SDS * self._sd)
+        least = max(_LEAST_DIFFERENCE, _MOST_SD * self._expected_sd)
+        if self._difference > math.hypot(least, _SURE_SDS * self._focal.sd):
+            return True
+        aspect = self._aspect
+        if aspect.information == 0.0:
+            return False
+        return abs(aspect.mean) > math.hypot(_LEAST_DIFFERENCE, _SURE_SDS * aspect.sd)
 
     @property
     def is_confirmed(self) -> bool:
@@ -91,17 +127,12 @@ class CameraCheck:
 
     @property
     def _difference(self) -> float:
-        return abs(self._sum / self._information - self._expected)
-
-    @property
-    def _sd(self) -> float:
-        """Standard deviation of a view's log-focal, by the mean information of views."""
-        return math.sqrt(self._view_count / self._information)
+        return abs(self._focal.mean - self._expected)
 
     @property
     def _stated_sd(self) -> float:
         """Of the stated log-focal: no less than what landmarks are sure of, in this image or over views."""
-        sure = self._difference - _SURE_SDS * self._sd if self._information > 0.0 else 0.0
+        sure = self._difference - _SURE_SDS * self._focal.sd if self._focal.information > 0.0 else 0.0
         return max(0.0 if self.has_build_focal else self._measured_sd, sure, self._seen_off)
 
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
@@ -121,14 +152,12 @@ class CameraCheck:
         if counted_s == 0.0:
             return
         decay, part = math.exp(-counted_s / _MEMORY_S), counted_s / MOST_COUNTED_S
-        information = part * log_focal_sd(pose) ** -2
         self._left_s -= counted_s
         self._measured_s += counted_s
-        self._sum = decay * self._sum + information * pose.log_focal
-        self._information = decay * self._information + information
-        self._view_count = decay * self._view_count + part
+        self._focal.add(pose.log_focal, log_focal_sd(pose), decay, part)
+        self._aspect.add(pose.log_aspect, _common_factor(pose) * pose.log_aspect_sd, decay, part)
         if self._measured_s >= _MEASURED_S:
-            error = math.hypot(self._difference, self._sd, self._expected_sd)
+            error = math.hypot(self._difference, self._focal.sd, self._expected_sd)
             self._measured_sd = min(self._measured_sd, max(WELL_OBSERVED_SD, error))
 
     def widened(self, belief: Estimate, depth: DepthPrediction | None) -> Estimate:

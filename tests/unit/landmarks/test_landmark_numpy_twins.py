@@ -89,12 +89,13 @@ def test_leverages_equal_twin_and_add_up_to_six(seed: int, count: int) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.floats(-0.2, 0.2))
 @settings(max_examples=60, deadline=None)
-def test_focal_length_equals_twin(seed: int, count: int, log_focal: float) -> None:
+def test_focal_length_and_aspect_equal_twin(seed: int, count: int, logarithm: float) -> None:
     points, rays, sd, near = seen_landmarks(np.random.default_rng(seed), count)
-    information = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
-    arguments = points, np.exp(log_focal) * rays, sd, near, information, KERNEL_SDS, 0.05
-    native, twin = _core.fit_log_focal(*arguments), landmark_numpy_twins.fit_log_focal(*arguments)
-    np.testing.assert_allclose(native, twin, rtol=1e-9, atol=1e-9)
+    for fit, unknowns, wrong in ((_core.fit_log_focal, 7, [1.0, 1.0]), (_core.fit_log_aspect, 8, [0.0, 1.0])):
+        information = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, unknowns - 6]) ** -2)
+        seen = np.exp(logarithm * np.array(wrong)) * rays
+        arguments = points, seen, sd, near, information, KERNEL_SDS, 0.05
+        np.testing.assert_allclose(fit(*arguments), landmark_numpy_twins.fit_lens(*arguments), rtol=1e-9, atol=1e-9)
 
 
 def test_pose_of_unknown_rays_is_unknown_and_without_information_there_is_none() -> None:

@@ -188,6 +188,25 @@ def test_wrong_focal_length_is_recovered(factor: float) -> None:
     assert np.median(np.abs(deviations)) < 1.5 and np.percentile(np.abs(deviations), 90.0) < 4.0
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
+def test_stretch_along_one_axis_is_recovered_in_flat_views_too(factor: float) -> None:
+    """A wall at 3 m, and a fifth of wrong matches."""
+    rng = np.random.default_rng(9)
+    true = replace(CAMERA, fy=factor * CAMERA.fy)
+    deviations = []
+    for _ in range(30):
+        pixels = rng.uniform((0.0, 0.0), (CAMERA.width, CAMERA.height), (150, 2))
+        points = 3.0 * true.rays(pixels)
+        pixels += rng.normal(size=pixels.shape)
+        pixels[:30] += rng.uniform(-40.0, 40.0, (30, 2))
+        _, found = pose_from_matches(points, keypoints_at(pixels), CAMERA, near(np.eye(4), rng), PRIOR)
+        if found is not None:
+            assert found.log_aspect_sd < 0.01
+            deviations.append((found.log_aspect - np.log(factor)) / found.log_aspect_sd)
+    assert len(deviations) > 20
+    assert np.median(np.abs(deviations)) < 1.5 and np.percentile(np.abs(deviations), 90.0) < 3.0
+
+
 @pytest.mark.parametrize("factor", [0.77, 1.0, 1.3])
 def test_focal_length_in_a_flat_view_is_within_its_standard_deviation(factor: float) -> None:
     """A wall at 3 m, a little tilted, and a quarter of wrong matches."""

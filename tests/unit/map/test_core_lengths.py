@@ -73,6 +73,10 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
             "points, rays and sd",
         ),
         (
+            lambda: core.fit_log_aspect(POINTS[:4], PIXELS, PIXELS[:3], np.eye(4), np.eye(8), np.ones(1), 0.1),
+            "points, rays and sd",
+        ),
+        (
             lambda: core.fit_pose(POINTS[:4], PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(0), 0.1),
             "kernel_sds",
         ),
