@@ -155,7 +155,7 @@ def test_bundle_without_landmarks_in_sight_is_bad(here: Path, capfd: pytest.Capt
     result, _ = checked(capfd, 2, "room.monoloc", "flight")
     assert result["map"] == {
         "frames": 24, "found": 0, "agreeing": None, "offset_m": None, "offset_deg": None, "T_map_world": None,
-        "focal": None,
+        "focal": None, "aspect": None,
     }  # fmt: skip
 
 

@@ -110,6 +110,7 @@ def _content(source: str, inspection: Inspection) -> dict[str, object]:
             "offset_m": agreement.offset_m,
             "offset_deg": None if agreement.offset_rad is None else float(np.rad2deg(agreement.offset_rad)),
             "T_map_world": None if agreement.T_map_world is None else agreement.T_map_world.tolist(),
-            "focal": agreement.focal,
+            "focal": None if agreement.focal is None else agreement.focal.value,
+            "aspect": None if agreement.aspect is None else agreement.aspect.value,
         }
     return content

@@ -24,8 +24,8 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
         yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE shows whether it is another room"
     mismatches = sum(Reason.CAMERA_MISMATCH in reasons for reasons in run.reasons)
     if mismatches >= _MISMATCH_SHARE * frames:
-        problem = f"in {mismatches} of {frames} frames, landmarks fit another focal length than the camera's"
-        yield f"{problem}; check --camera, and that images are neither cropped nor resized"
+        problem = f"in {mismatches} of {frames} frames, landmarks fit another lens than the camera's"
+        yield f"{problem}; check --camera, and that images are neither cropped, resized nor stretched"
     if standing := metrics["standing_share_median"]:
         problem = f"{standing:.0%} of the image stands still in half of the frames or more, and is left out"
         yield f"{problem}; clean the lens, or move the camera away from parts of the drone"

@@ -188,8 +188,8 @@ class Preflight:
             remark = f"{verb} roll_deg in [mount]; if the build's images lay on their side, build again with down"
             yield Finding("orientation", "bad", "images lie on their side or upside down", remark)
         if self._reasons[Reason.CAMERA_MISMATCH]:
-            remark = "calibrate the camera at this resolution, with its focus fixed"
-            yield Finding("intrinsics", "bad", "landmarks fit another focal length", remark)
+            remark = "calibrate the camera at this resolution, with its focus fixed, and do not stretch its images"
+            yield Finding("intrinsics", "bad", "landmarks fit another lens", remark)
         elif self._reasons[Reason.CAMERA_UNCONFIRMED]:
             remark = "carry the camera past things that are near and far, or build with this camera"
             yield Finding("intrinsics", "warning", "the focal length is neither the build's nor confirmed", remark)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -20,7 +21,7 @@ from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
 from monoloc.recording_check.lens_check import FOCAL_SDS, camera_doubts, check_factors
-from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
+from monoloc.recording_check.map_agreement import LEAST_FOUND, LensRatio, MapAgreement, compare_with_map
 from monoloc.recording_check.motion_coverage import MotionCoverage, cover
 from monoloc.recording_check.pose_check import PoseCheck, compare_poses
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
@@ -261,16 +262,21 @@ def _of_landmarks(agreement: MapAgreement) -> Finding:
 def _of_camera(agreement: MapAgreement, camera: Camera, built: Camera) -> Finding:
     value = f"{camera.width}x{camera.height}, f {camera.focal_px:.0f} px"
     build = f"the build's is {built.width}x{built.height}, f {built.focal_px:.0f} px"
-    if agreement.focal is not None and agreement.focal_log_sd is not None:
-        certain = max(_FOCAL_ERROR, FOCAL_SDS * agreement.focal_log_sd)
-        if abs(np.log(agreement.focal)) > certain:
-            remark = f"landmarks fit {agreement.focal:.2f} times the stated focal length; correct --camera"
-            return Finding("camera", "bad", value, remark)
+    if (aspect := agreement.aspect) is not None and _is_off(aspect):
+        stretched = f"the images are stretched: landmarks fit {aspect.value:.2f} times the stated fy over fx"
+        return Finding("camera", "bad", value, f"{stretched}; correct --camera, or do not stretch the images")
+    if (focal := agreement.focal) is not None and _is_off(focal):
+        remark = f"landmarks fit {focal.value:.2f} times the stated focal length; correct --camera"
+        return Finding("camera", "bad", value, remark)
     if (camera.width, camera.height) != (built.width, built.height):
         return Finding("camera", "good", value, build)
     if abs(np.log(camera.focal_px / built.focal_px)) > _FOCAL_ERROR:
         return Finding("camera", "warning", value, f"{build}; for the same camera, give the same intrinsics")
     return Finding("camera", "good", value, "" if value in build else build)
+
+
+def _is_off(ratio: LensRatio) -> bool:
+    return abs(math.log(ratio.value)) > max(_FOCAL_ERROR, FOCAL_SDS * ratio.log_sd)
 
 
 def _of_world(agreement: MapAgreement, agreeing: int) -> Finding:

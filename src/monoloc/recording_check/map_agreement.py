@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +11,28 @@ from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray, invert, make_pose, nearest_rotation, rotation_angle
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
-from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.robust_statistics import robust_sd
-from monoloc.supervision.camera_check import tells_focal
+from monoloc.supervision.camera_check import tells_aspect, tells_focal
 
 _FRAMES = 24
 _SAME_M, _SAME_RAD = 0.15, np.deg2rad(6.0)  # poses of two frames that say the same of the two worlds
 LEAST_FOUND = 4
 """Number of frames in which landmarks must be found."""
+
+
+@dataclass(frozen=True)
+class LensRatio:
+    """A true over a stated property of the lens, and the standard deviation of its logarithm."""
+
+    value: float
+    log_sd: float
+
+    @classmethod
+    def of(cls, logarithms: list[float]) -> LensRatio | None:
+        """Their median, as a ratio; None if too few frames determine it."""
+        if len(logarithms) < LEAST_FOUND:
+            return None
+        return cls(float(np.exp(np.median(logarithms))), robust_sd(np.array(logarithms)) / math.sqrt(len(logarithms)))
 
 
 @dataclass(frozen=True)
@@ -30,15 +45,15 @@ class MapAgreement:
         agreeing: number of these that agree with one rigid transform between the two worlds; None without poses.
         T_map_world: that transform, (4, 4), from the recording's world to the map's; None if unknown.
         focal: true over stated focal length by the landmarks, relative to the build's; None if unknown.
-        focal_log_sd: standard deviation of its logarithm.
+        aspect: true over stated aspect, the focal length along y over that along x, by the landmarks.
     """
 
     frames: int
     found: int
     agreeing: int | None = None
     T_map_world: FloatArray | None = None
-    focal: float | None = None
-    focal_log_sd: float | None = None
+    focal: LensRatio | None = None
+    aspect: LensRatio | None = None
 
     @property
     def offset_m(self) -> float | None:
@@ -61,12 +76,14 @@ def compare_with_map(bundle: Bundle, recording: Recording) -> MapAgreement:
     localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
     places = [localizer.relocalize(localizer.detect(recording.color(index))) for index in chosen.tolist()]
     found = [(index, place) for index, place in zip(chosen.tolist(), places, strict=True) if place is not None]
-    focal, focal_log_sd = _focal([place for _, place in found], bundle.integrity.focal_mean)
+    usual, seen = bundle.integrity.focal_mean, [place for _, place in found]
+    focal = LensRatio.of([place.log_focal - usual for place in seen if tells_focal(place)])
+    aspect = LensRatio.of([place.log_aspect for place in seen if tells_aspect(place)])
     if recording.poses is None or len(found) < LEAST_FOUND:
-        return MapAgreement(len(chosen), len(found), focal=focal, focal_log_sd=focal_log_sd)
+        return MapAgreement(len(chosen), len(found), focal=focal, aspect=aspect)
     T_map_camera = np.stack([place.pose for _, place in found])
     agreeing, T_map_world = _common_transform(T_map_camera, recording.poses[[index for index, _ in found]])
-    return MapAgreement(len(chosen), len(found), agreeing, T_map_world, focal, focal_log_sd)
+    return MapAgreement(len(chosen), len(found), agreeing, T_map_world, focal, aspect)
 
 
 def _common_transform(T_map_camera: FloatArray, T_world_camera: FloatArray) -> tuple[int, FloatArray]:
@@ -82,11 +99,3 @@ def _common_transform(T_map_camera: FloatArray, T_world_camera: FloatArray) -> t
     rotation = nearest_rotation(candidates[best, :3, :3].sum(axis=0))
     shifts = T_map_camera[best, :3, 3] - T_world_camera[best, :3, 3] @ rotation.T
     return int(best.sum()), make_pose(rotation, np.median(shifts, axis=0))
-
-
-def _focal(places: list[LandmarkPose], usual: float) -> tuple[float | None, float | None]:
-    """Focal length by landmark poses relative to the usual log-focal, and the deviation of its logarithm."""
-    values = np.array([place.log_focal for place in places if tells_focal(place)])
-    if len(values) < LEAST_FOUND:
-        return None, None
-    return float(np.exp(np.median(values) - usual)), robust_sd(values) / np.sqrt(len(values))

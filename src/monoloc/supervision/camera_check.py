@@ -38,6 +38,10 @@ def log_focal_sd(pose: LandmarkPose) -> float:
     return pose.log_focal_sd * _common_factor(pose)
 
 
+def _log_aspect_sd(pose: LandmarkPose) -> float:
+    return pose.log_aspect_sd * _common_factor(pose)
+
+
 def _common_factor(pose: LandmarkPose) -> float:
     return math.sqrt(min(max(1.0, COMMON_ERROR * len(pose.points)), _MOST_COMMON))
 
@@ -45,6 +49,11 @@ def _common_factor(pose: LandmarkPose) -> float:
 def tells_focal(pose: LandmarkPose) -> bool:
     """Whether a landmark pose determines the focal length well; in a flat view it does not."""
     return log_focal_sd(pose) <= WELL_OBSERVED_SD
+
+
+def tells_aspect(pose: LandmarkPose) -> bool:
+    """Whether a landmark pose determines the lens's aspect well, as most do."""
+    return _log_aspect_sd(pose) <= WELL_OBSERVED_SD
 
 
 def has_same_focal(camera: Camera, other: Camera) -> bool:
@@ -155,7 +164,7 @@ class CameraCheck:
         self._left_s -= counted_s
         self._measured_s += counted_s
         self._focal.add(pose.log_focal, log_focal_sd(pose), decay, part)
-        self._aspect.add(pose.log_aspect, _common_factor(pose) * pose.log_aspect_sd, decay, part)
+        self._aspect.add(pose.log_aspect, _log_aspect_sd(pose), decay, part)
         if self._measured_s >= _MEASURED_S:
             error = math.hypot(self._difference, self._focal.sd, self._expected_sd)
             self._measured_sd = min(self._measured_sd, max(WELL_OBSERVED_SD, error))

@@ -27,7 +27,7 @@ class Reason(Enum):
     """Why the state is not *tracking*; first what a pilot must know first."""
 
     CAMERA_MISMATCH = "camera mismatch"
-    """Landmarks fit another focal length than the camera's stated one."""
+    """Landmarks fit another lens than the stated one: another focal length, or an image stretched along one axis."""
     CAMERA_TURNED = "camera turned"
     """The camera lies on its side or upside down, and depth is predicted by a network that has not learnt that."""
     IMAGE_EMPTY = "image empty"
@@ -76,7 +76,7 @@ class Supervision:
         image_is_empty: whether the image has no contrast.
         odometry_tracked: whether odometry, if there is any, followed the camera.
         is_near_build: whether the believed pose is near the frames that the map was built from.
-        camera_mismatch: whether landmarks fit another focal length.
+        camera_mismatch: whether landmarks fit another lens, see :attr:`Reason.CAMERA_MISMATCH`.
         camera_turned: whether depth is predicted from an image that lies on its side, or upside down.
         camera_confirmed: whether the focal length is the build's, or landmarks have confirmed it.
         start_confirmed: whether scans or landmarks have confirmed the belief since the start.

@@ -31,7 +31,7 @@ from monoloc.supervision.state import VOUCHED_FOR, Reason, State
 
 # Of a depth sensor: share of the distance, and what pose and map add.
 _SENSOR_SD, _POSE_SD_M = 0.02, 0.03
-_MOST_MISMATCHES = 0.1  # share of frames whose landmarks fit another focal length
+_MOST_MISMATCHES = 0.1  # share of frames whose landmarks fit another lens
 _LEAST_TRACKING_SHARE = 0.5  # of a flight's frames that are *tracking* or *map-changed*
 _LEAST_VIEWS, _APART_M = 5, 0.05  # usable frames of a flight, and pose distance between them: nearer ones err alike
 _LEAST_WITNESSES = 20  # landmarks outside of the changed region that agree with a frame's pose
@@ -139,7 +139,7 @@ def _refusal(watcher: _Watcher) -> tuple[str, str] | None:
     count = sum(watcher.states.values())
     share = sum(watcher.states[state] for state in VOUCHED_FOR) / count
     if watcher.mismatches > _MOST_MISMATCHES * count:
-        problem = f"landmarks fit another focal length in {watcher.mismatches} of {count} frames"
+        problem = f"landmarks fit another lens in {watcher.mismatches} of {count} frames"
         return problem, "give the intrinsics of its camera (--camera)"
     if share < _LEAST_TRACKING_SHARE:
         problem = f"{share:.0%} of its frames are tracking, fewer than {_LEAST_TRACKING_SHARE:.0%}"

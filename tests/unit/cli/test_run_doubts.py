@@ -52,7 +52,7 @@ def test_landmarks_that_no_frame_shows_speak_for_another_room(room: Bundle, run:
 def test_another_focal_length_speaks_for_another_camera(room: Bundle, run: Run) -> None:
     mismatch = [frozenset({Reason.CAMERA_MISMATCH}), *run.reasons[1:]]
     (doubt,) = doubts(replace(run, reasons=mismatch), room)
-    assert doubt.startswith("in 1 of 4 frames, landmarks fit another focal length than the camera's; check --camera")
+    assert doubt.startswith("in 1 of 4 frames, landmarks fit another lens than the camera's; check --camera")
 
 
 def test_what_stands_still_in_the_images_is_said(room: Bundle, run: Run) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -64,4 +65,14 @@ def test_another_room_and_another_lens_are_told(bundle: Bundle, recording: RoomR
     assert findings["map"].level == "bad" and findings["map"].remark.startswith("another room")
     wrong = Altered(recording, camera=with_focal(CAMERA, 1.1))
     agreement = compare_with_map(bundle, wrong)
-    assert agreement.focal == pytest.approx(1.0 / 1.1, rel=0.03)
+    assert agreement.focal is not None and agreement.focal.value == pytest.approx(1.0 / 1.1, rel=0.03)
+
+
+def test_images_stretched_along_one_axis_are_named(bundle: Bundle, recording: RoomRecording) -> None:
+    """As those of a wide stream that was squeezed into the proportions of the stated camera."""
+    squeezed = Altered(recording, camera=replace(CAMERA, fy=0.9 * CAMERA.fy))
+    (camera,) = [each for each in inspect_recording(squeezed, bundle=bundle).findings if each.name == "camera"]
+    assert camera.level == "bad"
+    assert re.fullmatch(
+        r"the images are stretched: landmarks fit 1\.1\d times the stated fy over fx; .*", camera.remark
+    )
