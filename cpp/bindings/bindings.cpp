@@ -204,24 +204,17 @@ auto leverages(const Vectors& points, const Pixels& rays, const Pixels& sd, cons
   return to_numpy(std::move(found), {count});
 }
 
-nb::tuple fit_log_focal(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
-                        const Square<7>& information, const Scalars& kernel_sds, double nearest_m) {
-  const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
-  monoloc::LogRatio fit;
-  {
-    nb::gil_scoped_release release;
-    fit = monoloc::fit_log_focal(seen, pose.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
-  }
-  return nb::make_tuple(fit.value, fit.sd);
-}
+using LensFit = monoloc::LogRatio (*)(const monoloc::SeenLandmarks&, const double*, const double*,
+                                      const monoloc::KernelSchedule&);
 
-nb::tuple fit_log_aspect(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
-                         const Square<8>& information, const Scalars& kernel_sds, double nearest_m) {
+template <std::size_t unknowns, LensFit fit_lens>
+nb::tuple fitted_lens(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
+                      const Square<unknowns>& information, const Scalars& kernel_sds, double nearest_m) {
   const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
   monoloc::LogRatio fit;
   {
     nb::gil_scoped_release release;
-    fit = monoloc::fit_log_aspect(seen, pose.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
+    fit = fit_lens(seen, pose.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
   }
   return nb::make_tuple(fit.value, fit.sd);
 }
@@ -299,10 +292,10 @@ NB_MODULE(_core, m) {
   m.def("fit_pose", &fit_pose, "points"_a, "rays"_a, "sd"_a, "prior"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
   m.def("leverages", &leverages, "points"_a, "rays"_a, "sd"_a, "pose"_a, "covariance"_a, "weights"_a, "nearest_m"_a);
-  m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
-        "nearest_m"_a);
-  m.def("fit_log_aspect", &fit_log_aspect, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
-        "nearest_m"_a);
+  m.def("fit_log_focal", &fitted_lens<7, monoloc::fit_log_focal>, "points"_a, "rays"_a, "sd"_a, "pose"_a,
+        "information"_a, "kernel_sds"_a, "nearest_m"_a);
+  m.def("fit_log_aspect", &fitted_lens<8, monoloc::fit_log_aspect>, "points"_a, "rays"_a, "sd"_a, "pose"_a,
+        "information"_a, "kernel_sds"_a, "nearest_m"_a);
   m.def("adjust_window", &adjust_window, "poses"_a, "points"_a, "rays"_a, "log_depth"_a, "ray_sd"_a,
         "log_depth_sd"_a, "iterations"_a);
   m.def("instruction_set", [] { return monoloc::kernels().name; });
