@@ -448,6 +448,10 @@ const std::map<std::string, std::function<void(const Call&)>> kFunctions = {
      [](const Call& call) {
        monoloc::fit_log_focal(landmarks(call), call.at(3), call.at(4), {call.at(5), call.count(5)});
      }},
+    {"fit_log_aspect",
+     [](const Call& call) {
+       monoloc::fit_log_aspect(landmarks(call), call.at(3), call.at(4), {call.at(5), call.count(5)});
+     }},
 };
 
 Work prepared(const std::string& function, const Shared& call) {

@@ -48,6 +48,7 @@ SIZES: dict[str, tuple[tuple[int, str], ...]] = {
     "fit_pose": ((0, "landmarks"),),
     "leverages": ((0, "landmarks"),),
     "fit_log_focal": ((0, "landmarks"),),
+    "fit_log_aspect": ((0, "landmarks"),),
     "adjust_window": ((1, "corners"), (0, "keyframes")),
     "se3_exp": ((0, "twists"),),
     "se3_log": ((0, "poses"),),
