@@ -6,23 +6,18 @@ statistical unit, and an effect is decided where the interval of their ratios ex
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from monoloc.config import describe
 from monoloc.errors import DataError
-from monoloc.files import read_regular
+from monoloc.run_json import GIVE_RUN, figures_of, read_run_json
 from monoloc.supervision.state import VOUCHED_FOR, State
 from monoloc_lab.experiments.interval import Interval, Step, interval_of, step_of
-
-_MOST_BYTES = 1 << 26
-_FIX = "give the output of: monoloc localize BUNDLE SOURCE --json"
 
 
 class Flight(BaseModel):
@@ -129,7 +124,7 @@ def paired(before: Path, after: Path) -> tuple[list[FlightPair], list[str]]:
     names = [{file.name for file in folder.glob("*.json")} for folder in (before, after)]
     for folder, found in zip((before, after), names, strict=True):
         if not found:
-            raise DataError(folder, "has no .json files", f"{_FIX}, a file for each flight")
+            raise DataError(folder, "has no .json files", f"{GIVE_RUN}, a file for each flight")
     common = sorted(names[0] & names[1])
     if not common:
         raise DataError(after, f"has no file of a name that is in {before}", "give both flights of a pair one name")
@@ -151,18 +146,11 @@ def read_flight(path: Path) -> Flight:
     Raises:
         DataError: it is not that, or the recording had no reference poses.
     """
-    try:
-        content = json.loads(read_regular(path, _MOST_BYTES))
-        if isinstance(content, dict) and "digest" in content and "ate_rmse_m" not in content:
-            fix = "compare flights over recordings with poses"
-            raise DataError(path, "has no errors, because its recording has no poses", fix)
-        return Flight.model_validate(_unseen(content))
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", _FIX) from error
-    except ValidationError as error:
-        raise DataError(path, describe(error), _FIX) from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(path, "is no JSON", _FIX) from error
+    content = read_run_json(path)
+    if isinstance(content, dict) and "digest" in content and "ate_rmse_m" not in content:
+        fix = "compare flights over recordings with poses"
+        raise DataError(path, "has no errors, because its recording has no poses", fix)
+    return figures_of(path, _unseen(content), Flight)
 
 
 def _unseen(content: Any) -> Any:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.bundle import digest_of
-from monoloc.config import describe
 from monoloc.errors import DataError
-from monoloc.files import read_regular
 from monoloc.geometry import FloatArray
+from monoloc.run_json import GIVE_RUN, figures_of, read_run_json
 
-_MOST_BYTES = 1 << 26
-_FIX = "give the output of: monoloc localize BUNDLE SOURCE --json"
 _Corner = tuple[float, float, float]
 
 
@@ -43,15 +39,7 @@ def read_changed_region(path: Path, bundle: Path) -> tuple[FloatArray, FloatArra
         DataError: the file is not that, or no frame named a region.
         BundleError: there is no bundle.
     """
-    try:
-        body = json.loads(read_regular(path, _MOST_BYTES))
-        run = _RunFigures.model_validate(body)
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", _FIX) from error
-    except ValidationError as error:
-        raise DataError(path, describe(error), _FIX) from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(path, "is no JSON", _FIX) from error
+    run = figures_of(path, read_run_json(path), _RunFigures)
     if run.digest != digest_of(bundle):
         problem = f"is a run in another bundle than {bundle}, or before its last edit"
         raise DataError(path, problem, "localize in this one again, or give the box: --box")
@@ -60,5 +48,5 @@ def read_changed_region(path: Path, bundle: Path) -> tuple[FloatArray, FloatArra
     named = max(run.changed_regions, key=lambda region: region.frames)
     lower, upper = np.array(named.lower_m), np.array(named.upper_m)
     if np.any(upper <= lower):
-        raise DataError(path, "names a region without volume", _FIX)
+        raise DataError(path, "names a region without volume", GIVE_RUN)
     return lower, upper
