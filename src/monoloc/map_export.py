@@ -12,18 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
-from monoloc.errors import DataError, SettingError
+from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.octomap import write_octomap
 from monoloc.io.pcd import write_pcd
 from monoloc.io.ply_writer import write_ply
 from monoloc.io.ros_grid import GREY_FREE, GREY_OCCUPIED, GREY_UNKNOWN, write_ros_grid
-from monoloc.map.occupancy import FREE, OCCUPIED, VoxelGrid, surface_voxels
-from monoloc.map.surface import ellipsoid_mesh, patch_normals, patch_offsets, surface_points, transformed
-from monoloc.obstacles.sectors import HALF_HEIGHT_M
-from monoloc.ros.ros_frames import RosFrames
-
-_LEAST_FREE = 0.5  # share of a column's voxels that were seen free, from which its cell is free
+from monoloc.level_map import level_cells, level_voxels
+from monoloc.map.occupancy import FREE, OCCUPIED, UNKNOWN
+from monoloc.map.surface import ellipsoid_mesh, patch_normals, patch_offsets, surface_points
 
 
 def export_points(path: Path, bundle: Bundle, count: int, rng: np.random.Generator) -> dict[str, object]:
@@ -68,7 +65,7 @@ def export_voxels(path: Path, bundle: Bundle, name: str, voxel_m: float) -> dict
         DataError: the file cannot be written, or the map does not tell the direction of gravity.
     """
     _require_gravity(bundle, name)
-    grid = level_voxels(bundle, voxel_m, T_map_world(bundle))
+    grid = level_voxels(bundle, voxel_m)
     write_octomap(path, grid.indices(OCCUPIED), grid.indices(FREE), voxel_m)
     return {
         "voxel_m": voxel_m,
@@ -79,10 +76,7 @@ def export_voxels(path: Path, bundle: Bundle, name: str, voxel_m: float) -> dict
 
 
 def export_grid(path: Path, bundle: Bundle, name: str, cell_m: float, height_m: float | None) -> dict[str, object]:
-    """Write ROS's occupancy grid at a height, in the frame ``map``: what a vehicle that flies level there can hit.
-
-    A cell is occupied if a voxel of its column is, within 0.25 m above and below; else free if half of them were seen
-    free; else unknown.
+    """Write ROS's occupancy grid at a height, in the frame ``map``: :func:`monoloc.level_map.level_cells`.
 
     Args:
         path: NAME.yaml; the picture is NAME.pgm beside it.
@@ -92,53 +86,24 @@ def export_grid(path: Path, bundle: Bundle, name: str, cell_m: float, height_m: 
         height_m: z in the frame ``map``; None for the median of the cameras that built the map.
 
     Raises:
-        SettingError: as :func:`monoloc.map.occupancy.surface_voxels`, or the map has nothing at that height.
+        SettingError: as :func:`monoloc.level_map.level_cells`.
         DataError: as :func:`export_voxels`.
     """
     _require_gravity(bundle, name)
-    T = T_map_world(bundle)
-    if height_m is None:
-        if len(bundle.reference_poses) == 0:
-            raise SettingError("height_m", "is needed: the bundle keeps no reference poses", "give metres")
-        height_m = float(np.median((T @ bundle.reference_poses.poses)[:, 2, 3]))
-    grid = level_voxels(bundle, cell_m, T)
-    levels = (grid.first[2] + np.arange(grid.states.shape[2]) + 0.5) * cell_m
-    is_in = np.abs(levels - height_m) <= max(HALF_HEIGHT_M, 0.5 * cell_m)
-    if not is_in.any():
-        fix = f"choose from {levels[0]:.2f} to {levels[-1]:.2f} metres along z of the frame map"
-        raise SettingError("height_m", f"is {height_m:g}, where the map has nothing", fix)
-    columns = grid.states[:, :, is_in]
-    is_free = (columns == FREE).mean(axis=2) >= _LEAST_FREE
-    grey = np.where(is_free, GREY_FREE, GREY_UNKNOWN).astype(np.uint8)
-    grey[(columns == OCCUPIED).any(axis=2)] = GREY_OCCUPIED
-    write_ros_grid(path, grey, grid.lower[:2], cell_m)
-    shares = {name: float(np.mean(grey == level)) for name, level in _LEVELS.items()}
-    return {"cell_m": cell_m, "cells": list(grey.shape), "height_m": height_m, **shares, "frame": "map"}
+    cells = level_cells(bundle, cell_m, height_m)
+    write_ros_grid(path, _GREY_OF[cells.states], cells.lower, cell_m)
+    shares = {f"{name}_share": float(np.mean(cells.states == state)) for name, state in _STATES.items()}
+    return {"cell_m": cell_m, "cells": list(cells.states.shape), "height_m": cells.height_m, **shares, "frame": "map"}
 
 
-_LEVELS = {"occupied_share": GREY_OCCUPIED, "free_share": GREY_FREE, "unknown_share": GREY_UNKNOWN}
-
-
-def T_map_world(bundle: Bundle) -> FloatArray:
-    """From the bundle's world to ROS's frame ``map``, z up, as ``monoloc fly --mcap`` publishes it, (4, 4).
-
-    Where the map does not tell gravity, it is the mean direction of the cameras' y axes; z, where there is none.
-    """
-    down = bundle.provenance.down_world if bundle.down is None else bundle.down
-    return RosFrames(np.eye(4), down if np.any(down) else None).T_map_room
+_STATES = {"occupied": OCCUPIED, "free": FREE, "unknown": UNKNOWN}
+_GREY_OF = np.array([GREY_UNKNOWN, GREY_FREE, GREY_OCCUPIED], dtype=np.uint8)  # by state
 
 
 def _require_gravity(bundle: Bundle, name: str) -> None:
     if bundle.down is None:
         problem = "does not give the direction of gravity: it shows too little of floor and walls"
         raise DataError(name, problem, "export a .ply or .pcd")
-
-
-def level_voxels(bundle: Bundle, voxel_m: float, T: FloatArray) -> VoxelGrid:
-    """Voxels of the map in another frame, given the rigid ``T`` (4, 4) from the world to it."""
-    poses = T @ bundle.reference_poses.poses
-    grid = surface_voxels(transformed(bundle.original, T), voxel_m, poses[:, :3, 3])
-    return grid.with_free_space(poses, bundle.camera)
 
 
 def _towards_cameras(bundle: Bundle) -> FloatArray:

@@ -25,7 +25,7 @@ from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import make_pose, so3_exp
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.likelihood import make_likelihood
 from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood
 from monoloc.likelihood.scan import scan_from_depth
@@ -373,6 +373,17 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
         reference_poses=ReferencePoses.without_bias(recording.poses[list(built_from)]),
         integrity=plausible_integrity(thresholds),
     )
+
+
+def bundle_with_landmarks_ahead() -> Bundle:
+    """A bundle of the room with 300 landmarks 2 m before the build's twelve cameras, which all of them found."""
+    recording = RoomRecording(Room(), make_path(12, rate_hz=2.0), SMALL_CAMERA)
+    bundle = make_bundle(room_mixture(Room(), 120), recording, range(12))
+    poses = bundle.reference_poses.poses
+    ahead = poses[:, :3, 3].mean(axis=0) + 2.0 * poses[:, :3, 2].mean(axis=0)
+    points = (ahead + np.random.default_rng(0).uniform(-0.5, 0.5, (300, 3))).astype(np.float32)
+    views = LandmarkViews(poses, np.ones((12, 300), np.bool_))
+    return replace(bundle, landmarks=Landmarks(points, np.zeros((300, 32), np.uint8), views))
 
 
 def room_bundle(components: int, frames: int = 2) -> Bundle:

@@ -11,7 +11,7 @@ import typer
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.room_map import fit_map
 from monoloc.bundle import read_bundle
-from monoloc.cli import map_edit
+from monoloc.cli import map_edit, map_localizability
 from monoloc.cli.common import (
     FramesOption,
     JsonOption,
@@ -46,6 +46,7 @@ app.add_typer(map_edit.app, name="edit")
 app.command()(info)
 app.command()(render)
 app.command()(export)
+app.command("localizability")(map_localizability.command)
 app.command()(update)
 
 

@@ -25,10 +25,11 @@ from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray
 from monoloc.io.ros_grid import picture_of
+from monoloc.level_map import T_map_world
 from monoloc.map.mixture import GaussianMixture
 from monoloc.map.occupancy import FREE, OCCUPIED, fitting_voxel_m, surface_voxels
 from monoloc.map.surface import EXTENT_SIGMAS, surface_points
-from monoloc.map_export import T_map_world, export_ellipsoids, export_grid, export_points, export_voxels
+from monoloc.map_export import export_ellipsoids, export_grid, export_points, export_voxels
 from monoloc.obstacles.depth_error import nearest_depth_m
 from monoloc.viz.map_view import CHANGED_M, MapView, plot_from_above, plot_from_pose
 

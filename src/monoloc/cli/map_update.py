@@ -36,8 +36,8 @@ from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import DataError, SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
+from monoloc.level_map import T_map_world
 from monoloc.map.surface import surface_points
-from monoloc.map_export import T_map_world
 from monoloc.printable import printable
 from monoloc.progress import ConsoleProgress
 from monoloc.start import START_ERROR_DEG, START_ERROR_M
