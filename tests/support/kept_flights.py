@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from document_numbers import Rows, by_build, chosen, middle, only, table_of
+import numpy as np
+
+from document_numbers import Rows, by_build, chosen, middle, only, table_of, values
+from monoloc.localizability import found_probability
 from monoloc_lab.experiments.interval import Interval, interval_of, medians_of_builds
 
 FLIGHTS = table_of("this-version.csv")
@@ -69,3 +72,9 @@ def of_network(
         landmarks=landmarks,
         builds=builds,
     )
+
+
+def predicted_and_actual(frames: Rows) -> tuple[float, float]:
+    """Share of the images that find a lost camera, as predicted by the expected landmarks, and as measured."""
+    predicted = found_probability(np.array(values(frames, "expected")))
+    return float(predicted.mean()), float(np.mean(values(frames, "localized")))

@@ -6,7 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
 
 from document_numbers import (
     Table,
@@ -25,7 +28,9 @@ from document_numbers import (
     tables_of,
     total,
     tracking_percent,
+    values,
 )
+from kept_flights import predicted_and_actual
 
 PAGE = "docs/results.md"
 LIGHTS = ("L1", "L2", "L3")
@@ -253,12 +258,37 @@ def check_budget(table: Table) -> None:
         agree_all(shown, [middle(found, "median_cm"), rmse, middle(found, "median_ms"), p95, p99, [in_turn]])
 
 
+def check_localizability(table: Table) -> None:
+    frames = table_of("localizability.csv")
+    assert len(table.rows) == len({row["room"] for row in frames})
+    for name, *shown in table.rows:
+        found = chosen(frames, room=name.partition(",")[0])
+        expected, counted = np.array(values(found, "expected")), np.array(values(found, "found"))
+        medians = [median_of(found, column) for column in ("distance", "expected", "found")]
+        predicted, actual = predicted_and_actual(found)
+        agree_all(
+            shown,
+            [
+                [len(found)],
+                *([median] for median in medians),
+                [rank_correlation(expected, counted)],
+                [predicted],
+                [actual],
+            ],
+        )
+
+
+def rank_correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    return float(spearmanr(first, second).statistic)
+
+
 CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("This version", 0): check_this_version,
     ("Two rendered rooms", 0): check_rendered_rooms,
     ("Other cameras", 0): check_other_cameras,
     ("Eight rendered rooms", 0): check_many_rooms,
     ("Eight rendered rooms", 1): check_starts_in_many_rooms,
+    ("Where a lost camera is found", 0): check_localizability,
     (RECOVERY, 0): check_recovery,
     (RECOVERY, 1): check_recovery_of_other_bundles,
     ("What the state says", 0): check_faults,

@@ -88,13 +88,14 @@ def _half_covered(rows: slice, columns: slice) -> Change:
     return _images(cover)
 
 
-def _enlarged(factor: float) -> Change:
-    """About the middle of the image, as by a longer lens."""
+def _enlarged(x: float, y: float) -> Change:
+    """By a factor along each axis, about the middle of the image: by a longer lens alike, else stretched."""
 
     def enlarge(image: Image, index: int, rng: np.random.Generator) -> Image:
         height, width = image.shape[:2]
         middle = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
-        mapping = np.column_stack([factor * np.eye(2), (1.0 - factor) * middle])
+        factors = np.array([x, y])
+        mapping = np.column_stack([np.diag(factors), (1.0 - factors) * middle])
         return np.asarray(cv2.warpAffine(image, mapping, (width, height)), dtype=np.uint8)
 
     return _images(enlarge)
@@ -196,8 +197,12 @@ _ALL = (
     Fault("intrinsics-minus-10", _nothing, focal_factor=0.9, is_of_whole_flight=True),
     Fault("intrinsics-plus-30", _nothing, focal_factor=1.3, is_of_whole_flight=True),
     Fault("intrinsics-minus-30", _nothing, focal_factor=0.7, is_of_whole_flight=True),
-    Fault("longer-lens-10", _enlarged(1.1), is_of_whole_flight=True),
-    Fault("longer-lens-30", _enlarged(1.3), is_of_whole_flight=True),
+    Fault("longer-lens-10", _enlarged(1.1, 1.1), is_of_whole_flight=True),
+    Fault("longer-lens-30", _enlarged(1.3, 1.3), is_of_whole_flight=True),
+    Fault("stretched-x-10", _enlarged(1.1, 1.0), is_of_whole_flight=True),
+    Fault("stretched-x-33", _enlarged(4.0 / 3.0, 1.0), is_of_whole_flight=True),
+    Fault("stretched-y-10", _enlarged(1.0, 1.1), is_of_whole_flight=True),
+    Fault("stretched-y-33", _enlarged(1.0, 4.0 / 3.0), is_of_whole_flight=True),
     Fault("propeller-guards", _propeller_guards, is_of_whole_flight=True),
     Fault("drops", _drops, is_of_whole_flight=True),
     Fault("jpeg-quality-10", _images(_compressed)),

@@ -15,7 +15,7 @@ from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.landmarks.landmark_map import LandmarkViews
 
-# Widths of the kernel, in direction (rad) and in the logarithm of distance, and number of the views that found nothing.
+# Widths of the kernel in direction (rad) and in the logarithm of distance; number of added views that found nothing.
 # The kernel has heavy tails: corners of a flat picture are recognised even from 50 degrees aside.
 _DIRECTION_RAD, _LOG_DISTANCE, _NOTHING_FOUND = 0.12, 0.20, 2.0
 

@@ -35,7 +35,7 @@ def plot_localizability(
     every = np.concatenate([np.percentile(cloud[:, :2], [0.5, 99.5], axis=0), views.positions[:, :2]])
     low, high = every.min(axis=0) - views.cell_m, every.max(axis=0) + views.cell_m
     height_in = 6.0 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
-    with picture(path, 7.6, height_in + 1.2) as figure:
+    with picture(path, 7.6, height_in + 1.6) as figure:
         from matplotlib.collections import PolyCollection
 
         axis = figure.subplots()
@@ -46,11 +46,9 @@ def plot_localizability(
         axis.add_collection(wedges)
         axis.plot(*cameras[:, :2].T, color=INK, linewidth=1.4, label=f"{len(cameras)} cameras that built it")
         axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
-        axis.set_title(
-            f"{name}: is a lost camera found?\nheight {views.height_m:.2f} m, pitch "
-            f"{np.degrees(views.pitch_rad):.0f}°; a wedge for each direction in which it looks"
-        )
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.5)
+        axis.set_title(f"{name}: where a lost camera is found, by the direction in which it looks")
+        flown = f"height {views.height_m:.2f} m, pitch {np.degrees(views.pitch_rad):.0f}°"
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.5, title=flown)
         figure.colorbar(wedges, ax=axis, shrink=0.7, pad=0.01, label="probability that one image finds it")
 
 
