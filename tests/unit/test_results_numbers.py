@@ -278,6 +278,16 @@ def check_localizability(table: Table) -> None:
         )
 
 
+def check_second_walk(table: Table) -> None:
+    flights = table_of("second-walk.csv")
+    assert len(table.rows) == len({(row["room"], row["walks"]) for row in flights})
+    for room, walks, *shown in table.rows:
+        found = chosen(flights, room=room, walks=walks)
+        shares = [numbers(found[0], name) for name in ("starts_found", "kidnaps_found", "wrong_place")]
+        of_bundle = [numbers(found[0], name) for name in ("distance", "predicted")]
+        agree_all(shown, [*of_bundle, values(found, "rmse_cm"), [total(found, "tracking")], *shares])
+
+
 def rank_correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     return float(spearmanr(first, second).statistic)
 
@@ -289,6 +299,7 @@ CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("Eight rendered rooms", 0): check_many_rooms,
     ("Eight rendered rooms", 1): check_starts_in_many_rooms,
     ("Where a lost camera is found", 0): check_localizability,
+    ("Where a lost camera is found", 1): check_second_walk,
     (RECOVERY, 0): check_recovery,
     (RECOVERY, 1): check_recovery_of_other_bundles,
     ("What the state says", 0): check_faults,

@@ -59,16 +59,16 @@ class _Relocalizer:
 
 
 class _Landmarks:
-    """Gives one landmark pose whenever it is asked."""
+    """Gives one landmark pose, with which so many landmarks agree, whenever it is asked."""
 
-    def __init__(self, x_m: float | None = None) -> None:
-        self.x_m, self.calls = x_m, 0
+    def __init__(self, x_m: float | None = None, count: int = 80) -> None:
+        self.x_m, self.count, self.calls = x_m, count, 0
 
     def __call__(self) -> LandmarkPose | None:
         self.calls += 1
         if self.x_m is None:
             return None
-        return LandmarkPose(estimate_at(self.x_m).pose, 1e-6 * np.eye(6), np.zeros((80, 3)))
+        return LandmarkPose(estimate_at(self.x_m).pose, 1e-6 * np.eye(6), np.zeros((self.count, 3)))
 
 
 def machine_with(
@@ -371,6 +371,26 @@ def test_suspected_belief_goes_on_where_landmarks_find_the_camera_there(x_m: flo
     after = update(machine, 0.0, probability_wrong=WRONG, landmarks=_Landmarks(x_m))
     expected_m = x_m if begins_anew else 0.0
     assert after == After(Mode.TRACKING, expected_m, by_landmarks=begins_anew, awaits_landmarks=not begins_anew)
+
+
+# --- A place with which few landmarks agree ---
+
+
+@pytest.mark.parametrize("mode", [Mode.SEARCHING, Mode.TRACKING])
+@pytest.mark.parametrize(("count", "is_sure"), [(39, False), (40, True)])
+def test_few_landmarks_must_find_a_place_twice(mode: Mode, count: int, is_sure: bool) -> None:
+    machine = machine_with(mode=mode)
+    first = update(machine, 0.0, landmarks=_Landmarks(4.0, count), probability_wrong=WRONG)
+    assert first.by_landmarks == is_sure and (first.mode is Mode.TRACKING) == (is_sure or mode is Mode.TRACKING)
+    found = update(machine, 0.5, landmarks=_Landmarks(4.5, count), probability_wrong=WRONG)
+    assert found == After(Mode.TRACKING, 4.5, by_landmarks=True)
+
+
+def test_few_landmarks_that_find_another_place_each_time_leave_the_camera_lost() -> None:
+    machine = machine_with(mode=Mode.SEARCHING)
+    for x_m in (4.0, 6.0, 4.0, 2.0):
+        assert not update(machine, 0.0, landmarks=_Landmarks(x_m, 30)).by_landmarks
+    assert machine.mode is Mode.SEARCHING
 
 
 # --- A belief that is uncertain, but not yet suspected ---
