@@ -26,7 +26,8 @@ def test_what_is_in_view_is_left_out_and_is_no_change_of_the_room(fault: str, sh
     pixels = last.depth.camera.project(last.scan.points)
     size = np.array(last.standing.shape[::-1]) / [last.depth.camera.width, last.depth.camera.height]
     x, y = ((pixels + 0.5) * size).astype(np.int64).T
-    assert last.standing[y, x].mean() < 0.02
+    # A fifth to a third of the image stands still. What is left of it in the scan lies on its border.
+    assert last.standing[y, x].mean() < 0.05
 
 
 def test_undisturbed_flight_marks_nothing() -> None:
