@@ -517,6 +517,8 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "share of these 40 flights that are *tracking* more than 30 cm off": "a definition",
     "In room 17, the second walk": "a name",
     "of its 40 flights are *tracking* 2 m off**: 31 to 34 landmarks": "of single frames that were not kept",
+    "in a later one of room 17, it was 56.7 %": "without kept runs",
+    "then 1.5 % (1 build)": "without kept runs",
     "sends 30 images a second": "of the flight",
     "with AVX-512), which camera and peer": "a name",
     "After 60 s the camera is killed and comes back after 5 s": "of the flight",
