@@ -21,9 +21,7 @@ from monoloc.progress import Progress
 HEADINGS = 12
 """Directions in which the camera looks from each place, evenly around the vertical."""
 
-LIKELY = 0.5
-"""Probability from which a view is counted as one that finds the camera."""
-
+_LIKELY = 0.5  # probability from which a view is counted as one that finds the camera
 # One image finds a lost camera with a probability that is logistic in the logarithm of the expected number of
 # landmarks: half at this number, and growing with this power of it.
 _HALF_FOUND, _POWER = 40.0, 2.5
@@ -64,8 +62,8 @@ class Localizability:
             "places": len(self.positions),
             "directions": len(self.headings_rad),
             "found_share": float(probability.mean()),
-            "places_found_share": float(np.mean(probability.max(axis=1) >= LIKELY)),
-            "places_found_all_around_share": float(np.mean(probability.min(axis=1) >= LIKELY)),
+            "places_found_share": float(np.mean(probability.max(axis=1) >= _LIKELY)),
+            "places_found_all_around_share": float(np.mean(probability.min(axis=1) >= _LIKELY)),
             "landmarks_median": float(np.median(self.landmarks)),
             "frame": "map",
         }

@@ -22,6 +22,9 @@ from monoloc.level_map import level_cells, level_voxels
 from monoloc.map.occupancy import FREE, OCCUPIED, UNKNOWN
 from monoloc.map.surface import ellipsoid_mesh, patch_normals, patch_offsets, surface_points
 
+_STATES = {"occupied": OCCUPIED, "free": FREE, "unknown": UNKNOWN}
+_GREY_OF = np.array([GREY_UNKNOWN, GREY_FREE, GREY_OCCUPIED], dtype=np.uint8)  # by state
+
 
 def export_points(path: Path, bundle: Bundle, count: int, rng: np.random.Generator) -> dict[str, object]:
     """Write random points of the surface as ``.pcd``, or as ``.ply`` with normals towards the cameras and colours.
@@ -94,10 +97,6 @@ def export_grid(path: Path, bundle: Bundle, name: str, cell_m: float, height_m: 
     write_ros_grid(path, _GREY_OF[cells.states], cells.lower, cell_m)
     shares = {f"{name}_share": float(np.mean(cells.states == state)) for name, state in _STATES.items()}
     return {"cell_m": cell_m, "cells": list(cells.states.shape), "height_m": cells.height_m, **shares, "frame": "map"}
-
-
-_STATES = {"occupied": OCCUPIED, "free": FREE, "unknown": UNKNOWN}
-_GREY_OF = np.array([GREY_UNKNOWN, GREY_FREE, GREY_OCCUPIED], dtype=np.uint8)  # by state
 
 
 def _require_gravity(bundle: Bundle, name: str) -> None:

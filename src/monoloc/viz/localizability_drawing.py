@@ -8,6 +8,7 @@ import numpy as np
 
 from monoloc.geometry import FloatArray
 from monoloc.localizability import Localizability
+from monoloc.viz.map_view import ABOVE_CAMERAS_M
 from monoloc.viz.picture import GREY, INK, picture
 
 _CMAP = "viridis"
@@ -31,7 +32,7 @@ def plot_localizability(
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
     """
-    cloud = cloud[cloud[:, 2] < max(views.height_m, float(cameras[:, 2].max())) + 0.2]
+    cloud = cloud[cloud[:, 2] < max(views.height_m, float(cameras[:, 2].max())) + ABOVE_CAMERAS_M]
     every = np.concatenate([np.percentile(cloud[:, :2], [0.5, 99.5], axis=0), views.positions[:, :2]])
     low, high = every.min(axis=0) - views.cell_m, every.max(axis=0) + views.cell_m
     height_in = 6.0 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))

@@ -28,7 +28,9 @@ CHANGED_M = 0.15
 """Distance to the other map's nearest point, from which a point is only in one: it went or came, or the other
 recording did not see it."""
 
-_ABOVE_CAMERAS_M = 0.2  # surfaces higher than that above the highest camera, such as the ceiling, are left out
+ABOVE_CAMERAS_M = 0.2
+"""Surfaces higher than that above the highest camera, such as the ceiling, are left out of pictures from above."""
+
 _VIEW_PX = 480  # width of a view from a pose
 _CMAP = "viridis"
 _BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.5, "ncols": 2}
@@ -170,7 +172,7 @@ def _below_ceiling(views: tuple[MapView, ...]) -> list[FloatArray]:
     heights = [view.poses[:, 2, 3].max() for view in views if len(view.poses)]
     if not heights:
         return [view.cloud for view in views]
-    below = [view.cloud[view.cloud[:, 2] < max(heights) + _ABOVE_CAMERAS_M] for view in views]
+    below = [view.cloud[view.cloud[:, 2] < max(heights) + ABOVE_CAMERAS_M] for view in views]
     return below if all(len(cloud) for cloud in below) else [view.cloud for view in views]
 
 
