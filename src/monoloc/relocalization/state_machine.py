@@ -1,10 +1,10 @@
 """What happens to a camera that is lost: it is searched for, by landmarks or by scans.
 
-Many landmarks that agree on a pose without a prior are decisive: the belief starts anew there, in the same frame. If
-few agree, or while the belief is only uncertain, two searches in turn must find the same place. A scan is not
-decisive: it can fit where the camera is not. So scans search only where landmarks cannot: in a room without any, and
-with a depth sensor in the dark. A pose that a scan found is first only followed, for a second; it is believed if the
-search then finds no better place.
+Landmarks that agree on a pose without a prior are decisive if it does not rest on a few corners: the belief starts
+anew there, in the same frame. If it does, or while the belief is only uncertain, two searches in turn must find the
+same place. A scan is not decisive: it can fit where the camera is not. So scans search only where landmarks cannot:
+in a room without any, and with a depth sensor in the dark. A pose that a scan found is first only followed, for a
+second; it is believed if the search then finds no better place.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from enum import Enum
 
 import numpy as np
 
+from monoloc.evaluation.consistency import FAR_M
 from monoloc.geometry import FloatArray, invert, pose_distance_m
+from monoloc.landmarks.influential_corners import sd_without_influential_corners
 from monoloc.landmarks.pnp import LandmarkPose, is_within_prior
 from monoloc.likelihood.scan import Scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -30,9 +32,9 @@ _SCAN_PERIOD_S, _LANDMARK_PERIOD_S = 1.0, 0.2  # between searches
 # Pose distance of two poses that count as one place, and of what two searches by landmarks find there. Wrong poses of
 # flat pictures lie some decimetres apart from image to image.
 _SAME_PLACE_M, _FOUND_AGAIN_M = 0.3, 0.15
-# Landmarks that agree on a pose from which one search is enough. Of poses on which fewer agree, one in three is wrong
-# (29 of 91 in two real and thirteen rendered rooms), of the others one in a hundred (8 of 953).
-_SURE_LANDMARKS = 40
+# Standard deviation of a position without its most influential corners: up to the first, one search is enough, and up
+# to the second two are.
+_FOUND_SD_M, _FOUND_AGAIN_SD_M = 0.1, FAR_M
 
 
 class Mode(Enum):
@@ -189,16 +191,17 @@ class RelocalizationStateMachine:
     def _other_place(self, seen: LandmarkPose | None, belief: Estimate, is_sought: bool) -> LandmarkPose | None:
         """What a search by landmarks found, if the belief is to start anew there.
 
-        A wrong place is seldom found twice. So a place must be one that the search before found too, if few landmarks
-        agree, or while the belief is only uncertain.
+        A wrong place is seldom found twice. So a place must be one that the search before found too, if it rests on a
+        few corners, or while the belief is only uncertain.
         """
         before, self._elsewhere = self._elsewhere, None
         if seen is None or self._is_believed(seen, belief):
             return None
         self._elsewhere = seen.pose @ invert(belief.pose)
         is_found_again = before is not None and _is_same_place(before @ belief.pose, seen.pose, _FOUND_AGAIN_M)
-        is_sure = is_sought and len(seen.points) >= _SURE_LANDMARKS
-        return seen if is_sure or is_found_again else None
+        once_m = _FOUND_SD_M if is_sought else 0.0
+        most_m = _FOUND_AGAIN_SD_M if is_found_again else once_m
+        return seen if sd_without_influential_corners(seen) < most_m else None
 
     def _is_believed(self, seen: LandmarkPose, belief: Estimate) -> bool:
         """Whether landmarks found the camera where it is believed to be; then measuring near the prior is enough.

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from monoloc.geometry import make_pose
+from monoloc.geometry import make_pose, transform
+from monoloc.landmarks.influential_corners import sd_without_influential_corners
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, uniform_scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -34,6 +35,7 @@ HERE_M, ELSEWHERE_M = 0.0, 5.0  # places along x; belief and particles are here
 PERIOD_S = 1.0  # between searches by scans
 KNOWN_SD_M, UNKNOWN_SD_M = 0.1, 0.6  # of the belief's position
 BELIEVED, WRONG = 0.1, 0.9  # probabilities of a wrong belief
+CORNERS = np.random.default_rng(0).uniform((-1.0, -1.0, 1.0), (1.0, 1.0, 3.0), (30, 3))  # in the camera's frame
 
 
 def estimate_at(x_m: float, sd_m: float = KNOWN_SD_M) -> Estimate:
@@ -59,16 +61,19 @@ class _Relocalizer:
 
 
 class _Landmarks:
-    """Gives one landmark pose, with which so many landmarks agree, whenever it is asked."""
+    """Gives one landmark pose, so certain without its most influential corners, whenever it is asked."""
 
-    def __init__(self, x_m: float | None = None, count: int = 80) -> None:
-        self.x_m, self.count, self.calls = x_m, count, 0
+    def __init__(self, x_m: float | None = None, sd_m: float = 0.02) -> None:
+        self.x_m, self.sd_m, self.calls = x_m, sd_m, 0
 
     def __call__(self) -> LandmarkPose | None:
         self.calls += 1
         if self.x_m is None:
             return None
-        return LandmarkPose(estimate_at(self.x_m).pose, 1e-6 * np.eye(6), np.zeros((self.count, 3)))
+        pose = estimate_at(self.x_m).pose
+        place = LandmarkPose(pose, 1e-6 * np.eye(6), transform(pose, CORNERS))
+        wider = (self.sd_m / sd_without_influential_corners(place)) ** 2
+        return replace(place, covariance=wider * place.covariance)
 
 
 def machine_with(
@@ -373,23 +378,26 @@ def test_suspected_belief_goes_on_where_landmarks_find_the_camera_there(x_m: flo
     assert after == After(Mode.TRACKING, expected_m, by_landmarks=begins_anew, awaits_landmarks=not begins_anew)
 
 
-# --- A place with which few landmarks agree ---
+# --- A place that rests on a few corners ---
 
 
 @pytest.mark.parametrize("mode", [Mode.SEARCHING, Mode.TRACKING])
-@pytest.mark.parametrize(("count", "is_sure"), [(39, False), (40, True)])
-def test_few_landmarks_must_find_a_place_twice(mode: Mode, count: int, is_sure: bool) -> None:
+@pytest.mark.parametrize(("sd_m", "searches"), [(0.099, 1), (0.101, 2), (0.299, 2), (0.301, None)])
+def test_place_that_rests_on_a_few_corners_must_be_found_twice(mode: Mode, sd_m: float, searches: int | None) -> None:
+    """The camera moves on by 0.5 m from search to search, as the belief does. On too few corners, none is enough."""
     machine = machine_with(mode=mode)
-    first = update(machine, 0.0, landmarks=_Landmarks(4.0, count), probability_wrong=WRONG)
-    assert first.by_landmarks == is_sure and (first.mode is Mode.TRACKING) == (is_sure or mode is Mode.TRACKING)
-    found = update(machine, 0.5, landmarks=_Landmarks(4.5, count), probability_wrong=WRONG)
-    assert found == After(Mode.TRACKING, 4.5, by_landmarks=True)
+    found = [
+        update(machine, x_m, landmarks=_Landmarks(4.0 + x_m, sd_m), probability_wrong=WRONG).by_landmarks
+        for x_m in (0.0, 0.5)
+    ]
+    assert found == [searches == 1, searches is not None]
+    assert (machine.mode is Mode.TRACKING) == (searches is not None or mode is Mode.TRACKING)
 
 
-def test_few_landmarks_that_find_another_place_each_time_leave_the_camera_lost() -> None:
+def test_few_corners_that_find_another_place_each_time_leave_the_camera_lost() -> None:
     machine = machine_with(mode=Mode.SEARCHING)
     for x_m in (4.0, 6.0, 4.0, 2.0):
-        assert not update(machine, 0.0, landmarks=_Landmarks(x_m, 30)).by_landmarks
+        assert not update(machine, 0.0, landmarks=_Landmarks(x_m, sd_m=0.2)).by_landmarks
     assert machine.mode is Mode.SEARCHING
 
 
