@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from monoloc.errors import BundleError, DataError
-from monoloc.extras import require_signing
+from monoloc.extras import require_extra
 from monoloc.files import read_regular, write_whole
 
 SIGNATURE = "manifest.sig"
@@ -31,7 +31,7 @@ def make_keys(private: Path, public: Path) -> None:
         DataError: a file exists already, or cannot be written; neither is left then.
         MissingExtraError: the extra ``sign`` is not installed.
     """
-    require_signing()
+    require_extra("sign")
     from cryptography.hazmat.primitives import serialization as forms
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -57,7 +57,7 @@ def signature_of(manifest: bytes, private_key: Path) -> bytes:
         DataError: the file holds no private key.
         MissingExtraError: the extra ``sign`` is not installed.
     """
-    require_signing()
+    require_extra("sign")
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
@@ -80,7 +80,7 @@ def check_signature(bundle: Path, manifest: bytes, public_key: Path) -> None:
         DataError: the file holds no public key.
         MissingExtraError: the extra ``sign`` is not installed.
     """
-    require_signing()
+    require_extra("sign")
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
     from cryptography.hazmat.primitives.serialization import load_pem_public_key

@@ -7,93 +7,37 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from typing import Literal
 
 from monoloc.errors import MissingExtraError
 
-
-def require_plotting() -> None:
-    """Check that matplotlib is installed, before long work starts.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("plots", "report") from error
-
-
-def require_viewing() -> None:
-    """Check that Rerun is installed, before long work starts.
-
-    Raises:
-        MissingExtraError: Rerun is not installed.
-    """
-    os.environ.setdefault("RUST_LOG", "off")  # monoloc reports problems itself, once
-    try:
-        import rerun  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("the viewer", "view") from error
+Extra = Literal["report", "view", "mavlink", "mcap", "stream", "sign", "ros"]
+# Of each extra, what needs it and a module that it installs.
+_NEEDED: dict[Extra, tuple[str, str]] = {
+    "report": ("plots", "matplotlib"),
+    "view": ("the viewer", "rerun"),
+    "mavlink": ("MAVLink", "pymavlink"),
+    "mcap": ("writing MCAP", "mcap_ros2.writer"),
+    "stream": ("streams over a network", "av"),
+    "sign": ("a signature", "cryptography"),
+    "ros": ("reading ROS bags", "rosbags"),
+}
 
 
-def require_mavlink() -> None:
-    """Check that pymavlink is installed, before a link is opened or messages are written.
+def require_extra(extra: Extra) -> None:
+    """Check that an extra is installed, before long work starts or a file or link is opened.
 
     Raises:
-        MissingExtraError: pymavlink is not installed.
+        MissingExtraError: it is not installed.
     """
+    if extra == "view":
+        os.environ.setdefault("RUST_LOG", "off")  # monoloc reports problems itself, once
+    what, module = _NEEDED[extra]
     try:
-        import pymavlink  # noqa: F401
+        import_module(module)
     except ImportError as error:
-        raise MissingExtraError("MAVLink", "mavlink") from error
-
-
-def require_mcap() -> None:
-    """Check that mcap and mcap-ros2-support are installed, before a file is written.
-
-    Raises:
-        MissingExtraError: one of them is not installed.
-    """
-    try:
-        import mcap_ros2.writer  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("writing MCAP", "mcap") from error
-
-
-def require_stream() -> None:
-    """Check that PyAV is installed, before a stream is opened.
-
-    Raises:
-        MissingExtraError: PyAV is not installed.
-    """
-    try:
-        import av  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("streams over a network", "stream") from error
-
-
-def require_signing() -> None:
-    """Check that cryptography is installed, before a bundle is signed or its signature is checked.
-
-    Raises:
-        MissingExtraError: cryptography is not installed.
-    """
-    try:
-        import cryptography  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("a signature", "sign") from error
-
-
-def require_ros() -> None:
-    """Check that rosbags is installed, before a bag is opened.
-
-    Raises:
-        MissingExtraError: rosbags is not installed.
-    """
-    try:
-        import rosbags  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("reading ROS bags", "ros") from error
+        raise MissingExtraError(what, extra) from error
 
 
 def require_structure_from_motion() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
-from monoloc.extras import require_mcap
+from monoloc.extras import require_extra
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import step_recorder
 from monoloc.geometry import FloatArray
@@ -127,7 +127,7 @@ def check_trajectory(path: Path) -> None:
     if suffix not in SUFFIXES:
         raise SettingError("--out", f"{path} has no suffix of a trajectory", f"choose from {', '.join(SUFFIXES)}")
     if suffix == MCAP:
-        require_mcap()
+        require_extra("mcap")
 
 
 def trajectory_output(path: Path, bundle: Bundle, camera: Camera) -> TrajectoryOutput:

@@ -25,7 +25,7 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.output_checks import check_folder
 from monoloc.errors import SettingError
-from monoloc.extras import require_mavlink, require_stream
+from monoloc.extras import require_extra
 from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.mavlink.firmware import Firmware
 from monoloc.progress import ConsoleProgress
@@ -159,8 +159,8 @@ def fly(
       monoloc bench fly kitchen.monoloc 7scenes:redkitchen --firmware ardupilot --json
     """
     camera = open_source(source, frames).camera
-    require_mavlink()
-    require_stream()
+    require_extra("mavlink")
+    require_extra("stream")
     with tempfile.TemporaryDirectory() as folder:
         figures = bench_live_flight(
             bundle, source, frames, camera, seconds, rate_hz, firmware, Path(folder), stderr.print

@@ -25,7 +25,7 @@ from monoloc.cli.localize import draw
 from monoloc.cli.output_checks import check_folder, check_viewing
 from monoloc.depth.models import DEFAULT
 from monoloc.errors import DataError
-from monoloc.extras import require_plotting
+from monoloc.extras import require_extra
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
@@ -89,7 +89,7 @@ def demo(
     started = time.perf_counter()
     study = _recorded(data) if data is not None else _living(build)
     check_folder(out, "--out")
-    require_plotting()
+    require_extra("report")
     check_viewing(view, instead="leave it out")
     out.mkdir(exist_ok=True)
     bundles = _bundles(study.build, out, seed)

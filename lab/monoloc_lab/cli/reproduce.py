@@ -19,7 +19,7 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.output_checks import check_folder
 from monoloc.errors import DataError, SettingError
-from monoloc.extras import require_plotting, training_extra
+from monoloc.extras import require_extra, training_extra
 from monoloc.io.registry import absolute_source, open_recording
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def reproduce(
     _refuse({"--scene": scene}, "without")
     chosen = chosen_figures(figures or [])
     check_folder(out, "--out")
-    require_plotting()
+    require_extra("report")
     study = _study(data, build_frames, quick, builds, size, encoder)
     if dask is not None:
         check_scheduler(dask)

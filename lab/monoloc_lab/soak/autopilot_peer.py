@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
-from monoloc.extras import require_mavlink
+from monoloc.extras import require_extra
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import dialect
 from monoloc_lab.soak import ardupilot_decoder, px4_decoder
@@ -50,7 +50,7 @@ class AutopilotPeer:
     """
 
     def __init__(self, port: int, firmware: Firmware, mavsdk_port: int | None) -> None:
-        require_mavlink()
+        require_extra("mavlink")
         self.heard = Heard()
         self._port, self._firmware, self._mavsdk_port = port, firmware, mavsdk_port
         self._closing = threading.Event()

@@ -34,7 +34,7 @@ from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.network_evaluation import evaluate_network
-from monoloc.extras import require_plotting, training_extra
+from monoloc.extras import require_extra, training_extra
 from monoloc.files import write_whole
 from monoloc.io.file_access import require_file
 from monoloc.io.recording import Recording
@@ -99,7 +99,7 @@ def train(
             require_file(weights, "check the path")
     with training_extra():
         from monoloc.depth.training.train import EpochRecord, TrainConfig, train_network
-    require_plotting()
+    require_extra("report")
     with naming({"epochs": "--epochs"}):
         config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = [open_source(source, frames), *(open_source(other, "::") for other in also or ())]

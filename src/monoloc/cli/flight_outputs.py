@@ -11,7 +11,7 @@ from monoloc.camera import Camera
 from monoloc.cli.common import print_json
 from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_suffix, check_viewing
 from monoloc.errors import SettingError
-from monoloc.extras import require_mcap, require_viewing
+from monoloc.extras import require_extra
 from monoloc.files import target_of
 from monoloc.flight.earlier_flight import earlier_name, keep_earlier
 from monoloc.flight.flight_file import FlightFile
@@ -32,7 +32,7 @@ def check_view(view: bool, port: int | None) -> None:
         raise SettingError("--view-port", "is given beside --view", "choose between a window and a browser")
     check_viewing(view, instead="give --view-port PORT and open its page in a browser")
     if port is not None:
-        require_viewing()
+        require_extra("view")
 
 
 def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]) -> None:
@@ -51,7 +51,7 @@ def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]
     files = {"--out": flight.out, "--mcap": flight.mcap}
     check_outputs(files, inputs)
     if flight.mcap is not None:
-        require_mcap()
+        require_extra("mcap")
     if flight.record is not None:
         check_folder(flight.record, "--record")
         check_apart(flight.record, "--record", inputs)

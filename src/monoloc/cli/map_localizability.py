@@ -13,7 +13,7 @@ from monoloc.cli.common import JsonOption, naming, print_figures, stderr, warn
 from monoloc.cli.map_looking import BundleArgument
 from monoloc.cli.output_checks import check_outputs
 from monoloc.errors import SettingError
-from monoloc.extras import require_plotting
+from monoloc.extras import require_extra
 from monoloc.files import write_whole
 from monoloc.geometry import transform
 from monoloc.level_map import T_map_world
@@ -58,7 +58,7 @@ def command(
     if out is not None and out.suffix.lower() not in (".png", ".csv"):
         raise SettingError("--out", f"ends in {out.suffix or 'nothing'}", "choose from .png, .csv")
     if out is not None and out.suffix.lower() == ".png":
-        require_plotting()
+        require_extra("report")
     room = read_bundle(bundle)
     if room.down is None:
         warn(bundle.name, "floor and walls do not show the direction of gravity; up is that of the build's cameras")

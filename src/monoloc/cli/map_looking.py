@@ -22,7 +22,7 @@ from monoloc.cli.start_option import METAVAR, parse_pose
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import SettingError
 from monoloc.evaluation.cloud_metrics import cloud_distances
-from monoloc.extras import require_plotting
+from monoloc.extras import require_extra
 from monoloc.geometry import FloatArray
 from monoloc.io.ros_grid import picture_of
 from monoloc.level_map import T_map_world
@@ -223,7 +223,7 @@ def _seen(bundle: Bundle) -> dict[str, object]:
 
 
 def _view(path: Path, bundle: Bundle, seed: int, points: int) -> MapView:
-    require_plotting()
+    require_extra("report")
     rng = np.random.default_rng(seed)
     return MapView(
         name=path.name,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from monoloc.bundle_manifest import container_of
 from monoloc.errors import SettingError
-from monoloc.extras import require_plotting, require_viewing
+from monoloc.extras import require_extra
 from monoloc.files import at_home, target_of
 from monoloc.io import dataset_description, nerfstudio
 from monoloc.viz.viewer import RECORD_INSTEAD, require_window
@@ -102,7 +102,7 @@ def check_picture(path: Path | None, option: str) -> None:
     """
     check_suffix(path, option, ".png", "a PNG")
     if path is not None:
-        require_plotting()
+        require_extra("report")
 
 
 def check_folder(path: Path, option: str) -> None:
@@ -133,7 +133,7 @@ def check_viewing(view: bool, record: Path | None = None, instead: str = RECORD_
     """
     check_suffix(record, "--record", ".rrd", "a recording of Rerun")
     if view or record is not None:
-        require_viewing()
+        require_extra("view")
     if view:
         require_window(instead)
 

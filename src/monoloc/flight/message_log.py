@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.errors import DataError
-from monoloc.extras import require_mavlink
+from monoloc.extras import require_extra
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.pose_sender import MessageSink
 from monoloc.flight.writer_thread import WriterThread
@@ -34,7 +34,7 @@ class MessageLog:
     """
 
     def __init__(self, path: Path) -> None:
-        require_mavlink()
+        require_extra("mavlink")
         self._path = path
         self._failure: DataError | None = None
         self._is_said = False  # to the flight, that it failed

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.errors import DataError
-from monoloc.extras import require_ros
+from monoloc.extras import require_extra
 
 _ROS1, _MCAP, _SQLITE = b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00"
 _METADATA, _METADATA_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
@@ -88,7 +88,7 @@ class BagFile:
         if not is_bag(path):
             fix = "give a .bag, .mcap or .db3 file, or a folder with a metadata.yaml (ros2 bag reindex restores it)"
             raise DataError(path, "is not a ROS bag", fix)
-        require_ros()
+        require_extra("ros")
         self.path = path
         self._is_ros1 = path.is_file() and _start(path, 16).startswith(_ROS1)
         self._lock = threading.Lock()  # of the position in the file

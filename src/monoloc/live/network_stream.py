@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
-from monoloc.extras import require_stream
+from monoloc.extras import require_extra
 from monoloc.live.capture_clock import CaptureClock
 from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
@@ -33,7 +33,7 @@ class NetworkStream:
     """
 
     def __init__(self, url: str) -> None:
-        require_stream()
+        require_extra("stream")
         self.name = _CREDENTIALS.sub("", url)
         self._url = url
         self._container: Any = None

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.extras import require_mavlink
+from monoloc.extras import require_extra
 from monoloc.live.capture_clock import CaptureClock
 from monoloc.mavlink.autopilot_frames import rotation_of
 from monoloc.mavlink.byte_link import ByteLink
@@ -75,7 +75,7 @@ class AutopilotLink:
 
     def __init__(self, url: str, R_body_camera: ArrayLike = np.eye(3)) -> None:
         parse_address(url)  # a wrong address is refused with and without pymavlink
-        require_mavlink()
+        require_extra("mavlink")
         self.round_trip_s: float | None = None
         self._packing = threading.Lock()
         self._packer = dialect().MAVLink(None, srcSystem=1, srcComponent=COMPONENT)

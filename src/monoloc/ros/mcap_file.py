@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.extras import require_mcap
+from monoloc.extras import require_extra
 from monoloc.files import target_of
 from monoloc.partial_files import PartialFile
 from monoloc.ros.message_contents import TopicMessage
@@ -42,7 +42,7 @@ class McapFile:
     """
 
     def __init__(self, path: Path, as_it_comes: bool) -> None:
-        require_mcap()
+        require_extra("mcap")
         from mcap_ros2.writer import Writer
 
         self._path, target = path, target_of(path)
