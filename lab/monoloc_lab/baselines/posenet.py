@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional as F
+from torch.utils.flop_counter import FlopCounterMode
 
 from monoloc.depth.training.family import network_config
 from monoloc.depth.training.mobilenet import Encoder, check_encoder_blocks
-from monoloc.depth.training.multiply_adds import multiply_adds
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.geometry import FloatArray, make_pose, nearest_rotation, so3_exp, so3_log
 
@@ -84,7 +84,9 @@ class PoseNet(nn.Module):
 
     def multiply_adds(self, width: int, height: int) -> int:
         """Multiply-adds for one image, counted as for the depth network."""
-        return multiply_adds(self, lambda: self(torch.zeros(1, 3, height, width)))
+        with FlopCounterMode(display=False) as counter, torch.no_grad():
+            self(torch.zeros(1, 3, height, width))
+        return int(counter.get_total_flops()) // 2
 
 
 @cache
