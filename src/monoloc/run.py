@@ -29,7 +29,7 @@ from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.settled_objects import settled
 from monoloc.start import Start
-from monoloc.step import Step
+from monoloc.step import LocalizedFrame, Step
 from monoloc.step_budget import Level, level_counts
 from monoloc.supervision.map_change import ChangedRegion, merged
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
@@ -211,7 +211,7 @@ def localize(
             step = localizer.step(color, float(elapsed[index]), measured, gravity, motion)
             step_ms = (time.perf_counter() - began) * 1e3
             log.add(step, unseen, step_ms, sensor)
-            viewer.show(index, color, step, localizer.particles, log.dead_reckoning[-1], step_ms)
+            viewer.show(LocalizedFrame(index, color, step, localizer.particles, log.dead_reckoning[-1], step_ms))
             show(index + 1)
     return log.run(config)
 

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.likelihood.scan import Scan
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.particle_filter.particles import Particles
 from monoloc.relocalization.state_machine import Mode
 from monoloc.step_budget import Level
 from monoloc.supervision.map_change import ChangedRegion
@@ -66,3 +68,24 @@ class Step:
     def standing_share(self) -> float:
         """Share of the image that stands still, 0..1."""
         return 0.0 if self.standing is None else float(self.standing.mean())
+
+
+@dataclass(frozen=True)
+class LocalizedFrame:
+    """A frame of a recording after it was localised.
+
+    Attributes:
+        index: index of the frame in the recording.
+        color: (H, W, 3) uint8 RGB, the localizer's input.
+        step: the localizer's result.
+        particles: particles after the step.
+        odometry: (4, 4) ``T_world_camera`` by dead reckoning.
+        step_ms: duration of the step.
+    """
+
+    index: int
+    color: NDArray[np.uint8]
+    step: Step
+    particles: Particles
+    odometry: FloatArray
+    step_ms: float

@@ -19,9 +19,8 @@ from monoloc.io.pose_table import COLUMNS
 from monoloc.io.recording import Recording
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.obstacles import tells_obstacles
-from monoloc.particle_filter.particles import Particles
 from monoloc.pose_rows import WholeTable, row
-from monoloc.step import Step
+from monoloc.step import LocalizedFrame, Step
 from monoloc.viz.viewer import Viewer
 
 
@@ -158,16 +157,8 @@ class WritingViewer:
         self._recording = recording
         self._viewer.begin(room, recording)
 
-    def show(
-        self,
-        index: int,
-        color: NDArray[np.uint8],
-        step: Step,
-        particles: Particles,
-        odometry: FloatArray,
-        step_ms: float,
-    ) -> None:
-        self._viewer.show(index, color, step, particles, odometry, step_ms)
+    def show(self, frame: LocalizedFrame) -> None:
+        self._viewer.show(frame)
         assert self._recording is not None
-        time_s, name = float(self._recording.timestamps_s[index]), self._recording.frame_names[index]
-        self._output.add(time_s, name, color, step)
+        time_s = float(self._recording.timestamps_s[frame.index])
+        self._output.add(time_s, self._recording.frame_names[frame.index], frame.color, frame.step)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 
 from monoloc.bundle import Bundle, read_bundle
@@ -22,11 +21,10 @@ from monoloc.cli.common import open_source, stderr
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
-from monoloc.particle_filter.particles import Particles
 from monoloc.progress import ConsoleProgress
 from monoloc.run import localize
 from monoloc.start import Start
-from monoloc.step import Step
+from monoloc.step import LocalizedFrame, Step
 from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, VERMILION
 from monoloc.viz.run_drawing import draw_mixture, norm_bound_95, page_axes
 
@@ -56,33 +54,26 @@ class Film:
         right, forward, _, _ = page_axes(np.asarray(room.provenance.down_world))
         self._plane = [right, forward]
 
-    def show(
-        self,
-        index: int,
-        color: NDArray[np.uint8],
-        step: Step,
-        particles: Particles,
-        odometry: FloatArray,
-        step_ms: float,
-    ) -> None:
-        if index == 0:
-            self._to_start = self._start @ invert(odometry)
+    def show(self, frame: LocalizedFrame) -> None:
+        step = frame.step
+        if frame.index == 0:
+            self._to_start = self._start @ invert(frame.odometry)
         self._trajectory.append(step.estimate.pose)
-        self._odometry.append(self._to_start @ odometry)
-        if index % _EVERY:
+        self._odometry.append(self._to_start @ frame.odometry)
+        if frame.index % _EVERY:
             return
         figure = Figure(figsize=_SIZE_IN, dpi=_DPI, facecolor="white")
         image, depth, plan = (
             figure.add_axes(box, frame_on=False, xticks=[], yticks=[], anchor="NW")
             for box in ((0.01, 0.5, 0.33, 0.44), (0.01, 0.01, 0.33, 0.44), (0.345, 0.01, 0.645, 0.93))
         )
-        image.imshow(color)
+        image.imshow(frame.color)
         image.set_title("camera image", loc="left", fontsize=10)
         near_m, far_m = _DEPTH_M
         assert step.depth is not None  # there is no budget
         depth.imshow(step.depth.depth_m, vmin=near_m, vmax=far_m, extent=image.get_images()[0].get_extent())
         depth.set_title("depth predicted by a small network", loc="left", fontsize=10)
-        self._draw_plan(plan, index, step)
+        self._draw_plan(plan, frame.index, step)
         content = io.BytesIO()
         figure.savefig(content, format="png")
         self._pictures.append(Image.open(content).convert("RGB"))

@@ -20,12 +20,11 @@ from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkVi
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 from monoloc.obstacles.depth_error import DepthError
-from monoloc.particle_filter.particles import Particles
 from monoloc.progress import Progress
 from monoloc.run import localize
 from monoloc.sensor_depth import sparse_depth
 from monoloc.start import Start
-from monoloc.step import Step
+from monoloc.step import LocalizedFrame, Step
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
 
@@ -175,19 +174,12 @@ class _Watcher:
     def begin(self, room: Bundle, recording: Recording) -> None:
         pass
 
-    def show(
-        self,
-        index: int,
-        color: NDArray[np.uint8],
-        step: Step,
-        particles: Particles,
-        odometry: FloatArray,
-        step_ms: float,
-    ) -> None:
+    def show(self, frame: LocalizedFrame) -> None:
         """Take in a frame, and keep it if it is usable."""
+        step = frame.step
         self.states[step.state] += 1
         self.mismatches += Reason.CAMERA_MISMATCH in step.reasons
-        checksum = fingerprint(color)
+        checksum = fingerprint(frame.color)
         if checksum in self._known:
             self.known += 1
             return
@@ -202,7 +194,7 @@ class _Watcher:
         if not self._is_apart(pose):
             self.left_out["as the view before"] += 1
             return
-        keypoints = self._localizer.detect(color)
+        keypoints = self._localizer.detect(frame.color)
         measured, which, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
         familiar = times >= FAMILIAR_TIMES
         if not self._is_witnessed(step.changed_region, familiar, measured.visible, measured.is_found):
@@ -210,7 +202,7 @@ class _Watcher:
             return
         is_landmark = np.zeros(len(keypoints.pixels), dtype=np.bool_)
         is_landmark[where] = True
-        depth = self._depth(index, step)
+        depth = self._depth(frame.index, step)
         if self._is_sensor_depth and depth is not None:
             pixels, points = keypoints.pixels[where], self._landmarks.points[which]
             self.depth_ratios.append(depth_ratios(depth, self.detected, pixels, pose, points))

@@ -18,7 +18,7 @@ from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.odometry.motion import tracks_translation
 from monoloc.particle_filter.particles import Particles
-from monoloc.step import Step
+from monoloc.step import LocalizedFrame, Step
 from monoloc.step_budget import Level
 from monoloc.supervision.state import State, in_words
 from monoloc.viz.pinhole_view import PinholeView
@@ -96,26 +96,18 @@ class RerunViewer:
         colors = np.array(list(_STATES.values()), dtype=np.uint32)
         self._static("state", rr.StateConfiguration(values=list(_STATES), colors=colors))
 
-    def show(
-        self,
-        index: int,
-        color: NDArray[np.uint8],
-        step: Step,
-        particles: Particles,
-        odometry: FloatArray,
-        step_ms: float,
-    ) -> None:
+    def show(self, frame: LocalizedFrame) -> None:
         assert self._recording is not None
         times_s = self._recording.timestamps_s
-        self._stream.set_time("frame", sequence=index)
-        self._stream.set_time("seconds", duration=float(times_s[index] - times_s[0]))
-        truth = None if self._recording.poses is None else self._recording.poses[index]
-        self.show_step(color, step, particles, truth)
+        self._stream.set_time("frame", sequence=frame.index)
+        self._stream.set_time("seconds", duration=float(times_s[frame.index] - times_s[0]))
+        truth = None if self._recording.poses is None else self._recording.poses[frame.index]
+        self.show_step(frame.color, frame.step, frame.particles, truth)
         # Odometry does not change without a motion, and a random walk never has one.
-        if tracks_translation(step.motion):
-            self._show_trajectory("odometry", odometry, truth, _ODOMETRY)
-        self._ends["odometry"] = odometry[:3, 3]
-        self._plot("step_ms", step_ms)
+        if tracks_translation(frame.step.motion):
+            self._show_trajectory("odometry", frame.odometry, truth, _ODOMETRY)
+        self._ends["odometry"] = frame.odometry[:3, 3]
+        self._plot("step_ms", frame.step_ms)
 
     def show_step(
         self,

@@ -12,9 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 from uuid import uuid4
 
-import numpy as np
-from numpy.typing import NDArray
-
 from monoloc.bundle import Bundle
 from monoloc.editing.edit_history import DrawnEdit
 from monoloc.errors import DataError, SettingError
@@ -22,8 +19,7 @@ from monoloc.files import target_of
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 from monoloc.partial_files import PartialFile
-from monoloc.particle_filter.particles import Particles
-from monoloc.step import Step
+from monoloc.step import LocalizedFrame
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -40,25 +36,8 @@ class Viewer(Protocol):
         """Start a run."""
         ...
 
-    def show(
-        self,
-        index: int,
-        color: NDArray[np.uint8],
-        step: Step,
-        particles: Particles,
-        odometry: FloatArray,
-        step_ms: float,
-    ) -> None:
-        """Show a processed frame.
-
-        Args:
-            index: index of the frame in the recording.
-            color: (H, W, 3) uint8 RGB, the localizer's input.
-            step: the localizer's result.
-            particles: particles after the step.
-            odometry: (4, 4) ``T_world_camera`` by dead reckoning.
-            step_ms: duration of the step.
-        """
+    def show(self, frame: LocalizedFrame) -> None:
+        """Show a frame."""
         ...
 
 
@@ -68,15 +47,7 @@ class NoViewer:
     def begin(self, room: Bundle, recording: Recording) -> None:
         pass
 
-    def show(
-        self,
-        index: int,
-        color: NDArray[np.uint8],
-        step: Step,
-        particles: Particles,
-        odometry: FloatArray,
-        step_ms: float,
-    ) -> None:
+    def show(self, frame: LocalizedFrame) -> None:
         pass
 
 
