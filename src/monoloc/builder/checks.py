@@ -22,12 +22,12 @@ from monoloc.map.depth_rendering import map_depth, supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_between_frames import CHECK_DEPTH, find_disagreement
-from monoloc.recording_check.depth_check import check_depth, require_registered_z
+from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.lens_check import intrinsics_warnings
 from monoloc.recording_check.pose_check import REFINE, compare_poses, require_agreement
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
-from monoloc.recording_check.time_stamps import check_times, require_seconds
+from monoloc.recording_check.time_stamps import TimeCheck, check_times
 
 _FRAMES, _POINTS = 20, 300  # checked: enough for a mean, within seconds
 _LEAST_POINTS = 50  # with fewer, a frame sees nothing of the map
@@ -98,7 +98,7 @@ def check_recording(
             be read.
     """
     with progress.task("check", 3) as step:
-        warnings = require_seconds(recording.name, check_times(recording))
+        warnings = _refused_or_warned(recording.name, check_times(recording))
         thin = None if cloud is None else voxel_thin(cloud, config.voxel_m)
         check, evidence = compare_poses(recording, thin)
         step(1)
@@ -110,7 +110,7 @@ def check_recording(
         warnings += intrinsics_warnings(agreeing, recording.camera)
         step(2)
         if recording.has_depth:
-            warnings += require_registered_z(recording.name, check_depth(recording))
+            warnings += _refused_or_warned(recording.name, check_depth(recording), "otherwise ")
         step(3)
     repeats = find_repeats(recording)
     if repeats is not None:
@@ -121,6 +121,19 @@ def check_recording(
     if walk_lies_on_side(recording):
         warnings.append(f"{ON_THEIR_SIDE}; {STAND_UPRIGHT}")
     return warnings
+
+
+def _refused_or_warned(name: str, check: TimeCheck | DepthCheck, before_remedy: str = "") -> list[str]:
+    """What a check warns of, at most one line: the problem, then ``before_remedy`` and what to do about it.
+
+    Raises:
+        DataError: its problem is certain.
+    """
+    if check.problem is None:
+        return []
+    if check.is_certain:
+        raise DataError(name, check.problem, check.remedy)
+    return [f"{check.problem}; {before_remedy}{check.remedy}"]
 
 
 def _check_scale(recording: Recording, cloud: FloatArray, model: DepthModel) -> list[str]:

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.corrected import DEPTH_FIXES, DepthFix, given_depth_fix, is_seven_scenes, with_depth_fix
 from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
@@ -141,19 +140,6 @@ def check_depth(recording: Recording) -> DepthCheck:
     refined = _Alignment(fixed, [fixed.depth(index) for index in chosen], images)
     is_better = refined.misfit is None and (refined.stated or 0.0) > _GAIN * (aligned.stated or 0.0)
     return replace(check, fix=name if is_better else None)
-
-
-def require_registered_z(name: str, check: DepthCheck) -> list[str]:
-    """Refuse depth that is of another kind, or warn of it where one view may show it by chance.
-
-    Raises:
-        DataError: no pixel has depth, or it is range, or not registered.
-    """
-    if check.problem is None:
-        return []
-    if check.is_certain:
-        raise DataError(name, check.problem, check.remedy)
-    return [f"{check.problem}; otherwise {check.remedy}"]
 
 
 def _views(poses: FloatArray) -> int:

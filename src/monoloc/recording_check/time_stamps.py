@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, rotation_angle
 from monoloc.io.recording import Recording, selected_from
 
@@ -66,19 +65,6 @@ def check_times(recording: Recording) -> TimeCheck:
     found = _in_another_unit(usual, times_s, whole.poses)
     rate_hz = None if between is None else 1.0 / between
     return TimeCheck(len(recording), rate_hz, duration, gaps, *(found or ()))
-
-
-def require_seconds(name: str, check: TimeCheck) -> list[str]:
-    """Warnings about time stamps before a build.
-
-    Raises:
-        DataError: they are certainly not in seconds.
-    """
-    if check.problem is None:
-        return []
-    if check.is_certain:
-        raise DataError(name, check.problem, check.remedy)
-    return [f"{check.problem}; {check.remedy}"]
 
 
 def _in_another_unit(usual_s: float, times_s: FloatArray, poses: FloatArray | None) -> tuple[str, str, bool] | None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from altered_recordings import Altered, range_of
+from monoloc.builder import checks
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_frames, check_recording
 from monoloc.builder.room_map import fit_map
@@ -18,6 +20,7 @@ from monoloc.io.recording import Recording
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
+from monoloc.recording_check.depth_check import DepthCheck
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, depth_from_blue, make_path
 
 FloatArray = NDArray[np.float64]
@@ -234,6 +237,41 @@ def test_recording_is_checked_before_its_map() -> None:
         check_recording(inverted, None, BuildConfig())
     with pytest.raises(DataError, match=r"^room: depth is distance .*; give --fix-depth range$"):
         check_recording(Altered(recording, depth=range_of(recording)), None, BuildConfig())
+
+
+def timed(times_s: FloatArray) -> RoomRecording:
+    recording = RoomRecording(Room(), make_path(len(times_s)), SMALL_CAMERA.resized(32, 26))
+    recording.timestamps_s = times_s
+    return recording
+
+
+def test_times_in_another_unit_are_refused() -> None:
+    words = r"^room: time stamps are 66\.67 s apart: they look like milliseconds; divide them by 1000$"
+    with pytest.raises(DataError, match=words):
+        check_recording(timed(1e3 * np.arange(20) / 15.0), None, BuildConfig())
+
+
+def test_times_that_look_like_frame_numbers_are_warned_of() -> None:
+    first, *_ = check_recording(timed(np.arange(20.0)), None, BuildConfig())
+    assert first == (
+        "time stamps are whole numbers, one frame a second: they look like frame numbers; "
+        "divide them by the frame rate, unless the camera took one image a second"
+    )
+
+
+def test_depth_that_one_view_shows_by_chance_is_warned_of_and_of_several_views_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen = DepthCheck(1.0, 2.0, 0.5, 1.2, "mirrored", has_few_views=True)
+    monkeypatch.setattr(checks, "check_depth", lambda _: seen)
+    recording = timed(np.arange(20) / 15.0)
+    remedy = "store depth and colour images the same way around"
+    chance = "perhaps by chance, as the camera hovers in one view"
+    warning = f"depth is not registered to the images: its edges fit mirrored, {chance}; otherwise {remedy}"
+    assert warning in check_recording(recording, None, BuildConfig())
+    seen = replace(seen, has_few_views=False)
+    with pytest.raises(DataError, match=rf"^room: depth is not registered .* fit mirrored; {remedy}$"):
+        check_recording(recording, None, BuildConfig())
 
 
 def test_walk_with_images_on_their_side_is_warned_of() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,21 +11,13 @@ import numpy as np
 import pytest
 
 from altered_recordings import Altered, Image, range_of
-from monoloc.errors import DataError
 from monoloc.geometry import invert
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.recording import Selection
 from monoloc.io.registration import DepthRegistration
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.io.seven_scenes import T_COLOR_DEPTH
-from monoloc.recording_check.depth_check import (
-    DepthCheck,
-    check_depth,
-    front_edges,
-    mean_correlation,
-    require_registered_z,
-    spectrum,
-)
+from monoloc.recording_check.depth_check import DepthCheck, check_depth, front_edges, mean_correlation, spectrum
 from monoloc.recording_check.inspection import inspect_recording
 from monoloc_lab.rooms import BUILD
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
@@ -44,17 +37,17 @@ def test_right_depth_is_not_doubted(right: RoomRecording) -> None:
     check = check_depth(right)
     assert check.problem is None and check.coverage == 1.0 and 1.0 < check.median_m < 4.0
     assert check.flatness is not None and check.flatness < 1.0
-    assert require_registered_z("walk", check) == []
 
 
-def test_one_view_gives_a_warning_where_several_views_would_refuse_the_depth() -> None:
+def test_one_view_is_not_certain_where_several_views_are() -> None:
     """Its edges fit its image nearby by chance; that depth is range, one view tells as well as many."""
     check = DepthCheck(1.0, 2.0, 0.5, 1.2, "moved by (-8, 2) pixels", has_few_views=True)
-    (warning,) = require_registered_z("walk", check)
-    assert warning.startswith("depth is not registered to the images: its edges fit moved by (-8, 2) pixels, perhaps")
-    for certain in (replace(check, has_few_views=False), replace(check, fix="range")):
-        with pytest.raises(DataError, match=r"^walk: depth is"):
-            require_registered_z("walk", certain)
+    problem = "depth is not registered to the images: its edges fit moved by (-8, 2) pixels"
+    by_chance = f"{problem}, perhaps by chance, as the camera hovers in one view"
+    assert (check.is_certain, check.problem) == (False, by_chance)
+    several = replace(check, has_few_views=False)
+    assert (several.is_certain, several.problem) == (True, problem)
+    assert replace(check, fix="range").is_certain
 
 
 @pytest.mark.parametrize(("side_m", "hovers"), [(0.05, True), (1.0, False)])
@@ -64,29 +57,29 @@ def test_a_camera_that_hovers_has_few_views(side_m: float, hovers: bool) -> None
     assert check_depth(RoomRecording(Room(), poses, SMALL_CAMERA)).has_few_views is hovers
 
 
-def test_depth_without_a_value_is_refused(right: RoomRecording) -> None:
+def test_depth_without_a_value_is_certain(right: RoomRecording) -> None:
     empty = Altered(right, depth=np.zeros_like)
     check = check_depth(empty)
     assert (check.coverage, check.flatness, check.edges, check.fix) == (0.0, None, None, None)
-    with pytest.raises(DataError, match=r"^walk: no pixel has depth; record within the sensor's range"):
-        require_registered_z("walk", check)
+    assert check.is_certain and check.problem == "no pixel has depth"
+    assert check.remedy.startswith("record within the sensor's range")
     depth = next(each for each in inspect_recording(empty).findings if each.name == "depth")
     assert (depth.level, depth.value) == ("bad", "0% of pixels")
 
 
 def test_depth_along_z_that_is_taken_for_range_is_named(right: RoomRecording) -> None:
     wrong = Selection(corrected(right, Fixes(depth="range")), range(len(right)))
-    problem = r"^walk: depth is z already: planes are [\d.]+ times as flat without --fix-depth range"
-    with pytest.raises(DataError, match=rf"{problem}; leave out --fix-depth range$"):
-        require_registered_z("walk", check_depth(wrong))
+    check = check_depth(wrong)
+    problem = r"depth is z already: planes are [\d.]+ times as flat without --fix-depth range"
+    assert check.is_certain and re.fullmatch(problem, check.problem or "")
+    assert check.remedy == "leave out --fix-depth range"
 
 
 def test_range_is_named_and_fixed(right: RoomRecording) -> None:
     wrong = Altered(right, depth=range_of(right))
-    with pytest.raises(
-        DataError, match=r"^walk: depth is distance .* instead of z: planes .*; give --fix-depth range"
-    ):
-        require_registered_z("walk", check_depth(wrong))
+    check = check_depth(wrong)
+    assert check.is_certain and re.match(r"depth is distance .* instead of z: planes ", check.problem or "")
+    assert check.remedy == "give --fix-depth range"
     fixed = corrected(wrong, Fixes(depth="range"))
     np.testing.assert_allclose(fixed.depth(3), right.depth(3), rtol=1e-5)
     assert check_depth(fixed).problem is None
@@ -111,8 +104,8 @@ def test_depth_of_another_camera_is_not_registered(focal: float) -> None:
     to_depth_camera = DepthRegistration(living.camera, other, invert(T_COLOR_DEPTH))
     check = check_depth(Altered(living, depth=to_depth_camera))
     assert check.zoom == pytest.approx(1.0 / focal, rel=0.025)
-    with pytest.raises(DataError, match=rf"^walk: depth is not registered to .*: its edges fit {check.zoom:.2f} "):
-        require_registered_z("walk", check)
+    fit = f"its edges fit {check.zoom:.2f} "
+    assert check.is_certain and re.match(rf"depth is not registered to .*: {fit}", check.problem or "")
 
 
 @pytest.mark.slow
@@ -133,8 +126,9 @@ def test_depth_that_is_moved_against_the_images_is_not_registered(
     depth: Callable[[Image], Image], misfit: str, remedy: str
 ) -> None:
     living = select_frames(open_recording(str(BUILD)), "::3")
-    with pytest.raises(DataError, match=rf"^walk: depth is not registered to .*: its edges fit {misfit}; {remedy}$"):
-        require_registered_z("walk", check_depth(Altered(living, depth=depth)))
+    check = check_depth(Altered(living, depth=depth))
+    assert check.is_certain and re.fullmatch(remedy, check.remedy)
+    assert re.fullmatch(rf"depth is not registered to .*: its edges fit {misfit}", check.problem or "")
 
 
 def test_edges_are_those_of_what_is_in_front_also_beside_narrow_holes() -> None:

@@ -7,9 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from monoloc.errors import DataError
 from monoloc.io.recording import Selection, narrowed
-from monoloc.recording_check.time_stamps import check_times, require_seconds
+from monoloc.recording_check.time_stamps import check_times
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 
@@ -22,7 +21,6 @@ def timed(times_s: np.ndarray) -> RoomRecording:
 def test_seconds_are_not_doubted() -> None:
     check = check_times(timed(1700000000.0 + np.arange(20) / 15.0))
     assert check.problem is None and check.rate_hz == pytest.approx(15.0) and check.gaps_s == []
-    assert require_seconds("walk", check) == []
 
 
 def test_the_rate_is_that_of_the_chosen_frames() -> None:
@@ -40,17 +38,16 @@ def test_the_rate_is_that_of_the_chosen_frames() -> None:
         (1e-3, r"15000 frames a second: they are not seconds; write the times in seconds$"),
     ],
 )
-def test_other_units_are_refused(factor: float, words: str) -> None:
-    with pytest.raises(DataError) as raised:
-        require_seconds("walk", check_times(timed(factor * np.arange(20) / 15.0)))
-    assert re.search(words, str(raised.value)), raised.value
+def test_other_units_are_certain(factor: float, words: str) -> None:
+    check = check_times(timed(factor * np.arange(20) / 15.0))
+    said = f"{check.problem}; {check.remedy}"
+    assert check.is_certain and re.search(words, said), said
 
 
-def test_frame_numbers_give_a_warning() -> None:
-    (warning,) = require_seconds("walk", check_times(timed(np.arange(20.0))))
-    assert warning.startswith(
-        "time stamps are whole numbers, one frame a second: they look like frame numbers; divide"
-    )
+def test_frame_numbers_are_not_certain() -> None:
+    check = check_times(timed(np.arange(20.0)))
+    assert check.problem == "time stamps are whole numbers, one frame a second: they look like frame numbers"
+    assert check.remedy.startswith("divide") and not check.is_certain
 
 
 def test_selected_frames_one_second_apart_are_no_frame_numbers() -> None:
