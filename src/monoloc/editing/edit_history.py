@@ -180,8 +180,7 @@ def _are_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
 
 
 def _landmarks_without(one: Bundle, other: Bundle) -> Landmarks:
-    chosen = ~_are_among(one.landmarks, other.landmarks)
-    return Landmarks(one.landmarks.points[chosen], one.landmarks.descriptors[chosen])
+    return one.landmarks.select(~_are_among(one.landmarks, other.landmarks))
 
 
 def _points(landmarks: Landmarks, chosen: NDArray[np.bool_]) -> FloatArray:

@@ -25,7 +25,7 @@ from monoloc.errors import SettingError
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, transform
 from monoloc.io.recording import evenly_spaced
-from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
+from monoloc.landmarks.landmark_map import LandmarkViews
 from monoloc.map.cloud import voxel_thin
 from monoloc.map.local_fit import Components, Region, fitted, part
 
@@ -56,7 +56,7 @@ def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.
     inside = box.contains(bundle.landmarks.points.astype(np.float64))
     if not len(change.gone) and not inside.any():
         raise _empty(box, bundle)
-    edited = replace(edited, landmarks=select_landmarks(bundle.landmarks, ~inside))
+    edited = replace(edited, landmarks=bundle.landmarks.select(~inside))
     return finish(bundle, edited, "remove", parameters, change, rng)
 
 
@@ -189,14 +189,6 @@ def _points_of(components: Components, rng: np.random.Generator) -> FloatArray:
     """Points (N, 3) of components, one for each that the cloud had, but not more than are needed."""
     count = int(min(_SHOWN, np.ceil(components.mass.sum())))
     return components.mixture().sample(count, rng) if len(components) else np.zeros((0, 3))
-
-
-def select_landmarks(landmarks: Landmarks, chosen: NDArray[np.bool_ | np.int64]) -> Landmarks:
-    """Some of L landmarks, by a mask (L,) or by their indices, with what the views found of them."""
-    views = landmarks.views
-    if views is not None:
-        views = LandmarkViews(views.poses, views.found[:, chosen])
-    return Landmarks(landmarks.points[chosen], landmarks.descriptors[chosen], views)
 
 
 def _without_finds(views: LandmarkViews, chosen: NDArray[np.bool_]) -> LandmarkViews:

@@ -166,6 +166,13 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.points)
 
+    def select(self, chosen: NDArray[np.bool_ | np.int64]) -> Landmarks:
+        """Some of the landmarks, by a mask (L,) or by their indices, with what the views found of them."""
+        views = self.views
+        if views is not None:
+            views = LandmarkViews(views.poses, views.found[:, chosen])
+        return Landmarks(self.points[chosen], self.descriptors[chosen], views)
+
     @property
     def bytes(self) -> int:
         """As stored."""

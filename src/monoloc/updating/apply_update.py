@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
-from monoloc.editing.edits import Change, finish, select_landmarks, with_surfaces, without_surfaces
+from monoloc.editing.edits import Change, finish, with_surfaces, without_surfaces
 from monoloc.editing.extension import SEEN_BY_UPDATE, with_frames
 from monoloc.geometry import FloatArray
 from monoloc.updating.landmark_ageing import with_more
@@ -43,9 +43,9 @@ def _with(bundle: Bundle, evidence: Evidence, proposal: Proposal, rng: np.random
     edited, change = bundle, Change(none, none)
     if proposal.kind == "retire landmarks":
         kept = ~np.isin(landmark_keys(bundle.landmarks), proposal.members)
-        edited = replace(bundle, landmarks=select_landmarks(bundle.landmarks, kept))
+        edited = replace(bundle, landmarks=bundle.landmarks.select(kept))
     elif proposal.kind == "add landmarks":
-        new = select_landmarks(evidence.candidates.corners, np.sort(proposal.members))
+        new = evidence.candidates.corners.select(np.sort(proposal.members))
         edited = replace(bundle, landmarks=with_more(bundle.landmarks, new))
     elif proposal.kind == "remove surfaces":
         edited, change = without_surfaces(bundle, _Voxels(proposal.members), rng)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from monoloc.builder.landmark_triangulation import DEPTH_SD, Corners, landmarks_of
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
-from monoloc.editing.edits import select_landmarks
 from monoloc.editing.joined_landmarks import is_among
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.landmarks.features import Keypoints, match_descriptors
@@ -48,7 +47,7 @@ class Candidates:
         return len(self.corners)
 
     def select(self, chosen: NDArray[np.bool_ | np.int64]) -> Candidates:
-        return Candidates(select_landmarks(self.corners, chosen), self.tally[chosen])
+        return Candidates(self.corners.select(chosen), self.tally[chosen])
 
 
 def landmarks_after(tally: Tally, landmarks: Landmarks, flight: ObservedFlight, model: IntegrityModel) -> Tally:
@@ -189,7 +188,7 @@ def _fresh(
     poses = np.stack([frame.pose for frame in flight.frames])
     depth_sd = DEPTH_SD if is_sensor_depth else float(flight.depth_error.sd_m(np.array(1.0)))  # relative, at a metre
     seen = landmarks_of([_unmatched(frame, flight) for frame in flight.frames], flight.detected, poses, depth_sd)
-    seen = select_landmarks(seen, ~is_among(seen, known) & ~is_among(seen, landmarks))
+    seen = seen.select(~is_among(seen, known) & ~is_among(seen, landmarks))
     views = known.views
     assert views is not None
     seen = replace(seen, views=LandmarkViews(views.poses, np.zeros((len(views.poses), len(seen)), dtype=np.bool_)))
@@ -198,7 +197,7 @@ def _fresh(
     for frame in flight.frames:
         finds[_found_in(seen, frame, flight.detected)] += 1
     is_seen = (finds >= _LEAST_FINDS) & (seen_from.sum(axis=0) >= FAMILIAR_TIMES)
-    seen = select_landmarks(replace(seen, views=LandmarkViews(views.poses, seen_from)), is_seen)
+    seen = replace(seen, views=LandmarkViews(views.poses, seen_from)).select(is_seen)
     counts = finds[is_seen]
     certain = np.full(len(seen), np.inf)
     return Candidates(seen, Tally.new(len(seen)).after_flight(counts, counts, certain))

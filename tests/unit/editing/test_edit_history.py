@@ -13,7 +13,7 @@ from monoloc.bundle import Bundle
 from monoloc.edit_record import EditRecord
 from monoloc.editing.box import Box
 from monoloc.editing.edit_history import drawn_edits
-from monoloc.editing.edits import add, move, remove, select_landmarks
+from monoloc.editing.edits import add, move, remove
 from monoloc.editing.undo import undone, with_edit
 from monoloc.errors import BundleError
 from monoloc.geometry import make_pose, so3_exp
@@ -75,9 +75,7 @@ def test_edit_of_landmarks_alone_has_their_bounds() -> None:
     room = mapped_room()
     kept = np.arange(len(room.landmarks)) >= 50  # the others are on the cube
     record = EditRecord(time="", kind="update", parameters={"lower_m": "damaged"}, changes={})
-    (edit,) = drawn_edits(
-        with_edit(room, replace(room, landmarks=select_landmarks(room.landmarks, kept)), record), rng()
-    )
+    (edit,) = drawn_edits(with_edit(room, replace(room, landmarks=room.landmarks.select(kept)), record), rng())
     assert edit.is_taking and len(edit.went_landmarks) == 50 and not len(edit.went) + len(edit.came)
     assert edit.place is not None and CUBE.contains(edit.place.corners).all()
     (nothing,) = drawn_edits(with_edit(room, room, record), rng())
