@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -17,17 +16,10 @@ from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 from monoloc.place.place_files import Place
 from monoloc.place.place_localizer import PlaceLocalizer, PlaceStep
+from monoloc.place.place_table import PlaceTable
 from monoloc.progress import Progress
 from monoloc.settled_objects import settled
 from monoloc.supervision.state import State
-
-
-class PlaceOutput(Protocol):
-    """Takes the frames of a recording that is localised in a place."""
-
-    def add(self, time_s: float, name: str, step: PlaceStep) -> None:
-        """Take a frame: its time, its name in the recording, and the result."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -85,9 +77,9 @@ class PlaceRun:
 
 
 def localize_in_place(
-    place: Place, recording: Recording, seed: int, progress: Progress, output: PlaceOutput | None = None
+    place: Place, recording: Recording, seed: int, progress: Progress, table: PlaceTable | None = None
 ) -> PlaceRun:
-    """Localise every frame of a recording, of whose start nothing is known.
+    """Localise every frame of a recording, of whose start nothing is known; a table takes all of them.
 
     Raises:
         DataError: there are no frames, or one cannot be read.
@@ -109,8 +101,8 @@ def localize_in_place(
                 time_s = float(recording.timestamps_s[index] - recording.timestamps_s[0])
                 switches.append(Switch(index, time_s, room, step.room))
             room = step.room
-            if output is not None:
-                output.add(float(recording.timestamps_s[index]), recording.frame_names[index], step)
+            if table is not None:
+                table.add(float(recording.timestamps_s[index]), recording.frame_names[index], step)
             steps.append(step)
             loaded = max(loaded, len(localizer.loaded))
             show(index + 1)

@@ -19,5 +19,5 @@ class PlaceTable(WholeTable):
         super().__init__(path, (*COLUMNS, ROOM))
 
     def add(self, time_s: float, name: str, step: PlaceStep) -> None:
-        """Take a frame, as :class:`monoloc.place.place_run.PlaceOutput`."""
+        """Take a frame: its time, its name in the recording, and the result."""
         self.take(row_in_place(time_s, name, step.step, step.room))
