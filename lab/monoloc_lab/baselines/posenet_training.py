@@ -23,12 +23,12 @@ from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.depth.training.mobilenet import load_encoder_weights
 from monoloc.depth.training.schedule import one_cycle
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.hold_out import hold_out_blocks
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import TURN_WORTH_M, FloatArray
 from monoloc.image_size import resize_image
 from monoloc.io.recording import Recording
 from monoloc.progress import Progress
+from monoloc_lab.baselines.hold_out_blocks import hold_out_blocks
 from monoloc_lab.baselines.pose_error import PoseError
 from monoloc_lab.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
 

@@ -36,14 +36,3 @@ def hold_out_regions(poses: FloatArray, regions: int, share: float) -> list[NDAr
         if margin[chosen] >= 0.0:
             held_out.append(np.sort(members[chosen]))
     return held_out
-
-
-def hold_out_blocks(frames: int, blocks: int, share: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Split frames in time order: (training, held out), with held-out blocks spread over the recording.
-
-    Blocks rather than single frames, because neighbouring frames show nearly the same image.
-    """
-    length = max(1, round(frames * share / blocks))
-    starts = np.linspace(0, frames, blocks + 2)[1:-1] - length / 2
-    held_out = np.unique(np.clip(np.concatenate([np.arange(length) + round(s) for s in starts]), 0, frames - 1))
-    return np.setdiff1d(np.arange(frames), held_out), held_out
