@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from monoloc.evaluation.cloud_metrics import MapClouds
 from monoloc.viz.map_drawing import plot_map_change
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.claims import map_moves_little
@@ -93,7 +94,7 @@ def _draw(study: Study, source: Path, folder: Path, split: Split, title: str) ->
             np.asarray(arrays[name], dtype=np.float64)
             for name in ("original", "adapted", "distances_m", "down_world")
         )
-    plot_map_change(path, original, adapted, distances_m, down, title)
+    plot_map_change(path, MapClouds(original, adapted, distances_m), down, title)
     return path
 
 

@@ -126,12 +126,12 @@ def compare(
     rng = np.random.default_rng(seed)
     clouds = compare_clouds(room.original, room.adapted, COMPARED_POINTS, rng)
     edits = drawn_edits(room, rng)
-    shown = clouds.original, clouds.adapted, clouds.distances_m, np.array(room.provenance.down_world)
+    down = np.array(room.provenance.down_world)
     name = f"{bundle.name}: {room.provenance.recording}"
     content = dict(clouds.figures)
     if out is not None:
-        plot_map_change(out, *shown, name, edits)
+        plot_map_change(out, clouds, down, name, edits)
         content = {"picture": str(out), **content}
     print_figures(str(bundle), content, json)
-    show_map_change(name, view, record, *shown, edits)  # last, so that a failure affects no other output
+    show_map_change(name, view, record, clouds, down, edits)  # last, so that a failure affects no other output
     say_written(record)

@@ -7,7 +7,7 @@ shows a shift only up to the spacing of the points.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -40,13 +40,14 @@ class MapClouds:
         original, adapted: (N, 3) world frame, metres, see :func:`matched_clouds`.
         distances_m: (N,) distance from each original point to the nearest adapted point, metres.
         figures: named as in ``monoloc map compare --json``: number of points and of components, C2C, axis-aligned
-            bounding boxes of the clouds in the world frame, and changes of the components.
+            bounding boxes of the clouds in the world frame, and changes of the components. Empty of clouds that were
+            read back to be drawn.
     """
 
     original: FloatArray
     adapted: FloatArray
     distances_m: FloatArray
-    figures: dict[str, Any]
+    figures: dict[str, Any] = field(default_factory=dict)
 
 
 def compare_clouds(

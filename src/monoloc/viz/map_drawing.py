@@ -10,6 +10,7 @@ import numpy as np
 
 from monoloc.editing.box import EDGES
 from monoloc.editing.edit_history import DrawnEdit
+from monoloc.evaluation.cloud_metrics import MapClouds
 from monoloc.geometry import FloatArray, so3_exp
 from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.picture import BLUE, GREY, INK, ORANGE, picture
@@ -27,9 +28,7 @@ _CMAP = "viridis"
 
 def plot_map_change(
     path: str | Path,
-    original: FloatArray,
-    adapted: FloatArray,
-    distances_m: FloatArray,
+    clouds: MapClouds,
     down: FloatArray,
     title: str = "",
     edits: tuple[DrawnEdit, ...] = (),
@@ -41,8 +40,7 @@ def plot_map_change(
 
     Args:
         path: PNG to write.
-        original, adapted: clouds (N, 3) and (M, 3), world frame, metres.
-        distances_m: (N,) distance of each point of the original to the adapted cloud.
+        clouds: of the map before and after adaptation.
         down: (3,) approximate down direction in the world.
         title: title of the figure.
         edits: of the map, drawn with the boxes.
@@ -51,6 +49,7 @@ def plot_map_change(
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
     """
+    original, adapted, distances_m = clouds.original, clouds.adapted, clouds.distances_m
     eye = _Eye.before(original, down)
     limit_cm = max(0.1, 100.0 * float(np.percentile(distances_m, 99.0)))
     with picture(path, 12.0, 9.8) as figure:

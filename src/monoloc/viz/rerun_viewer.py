@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.editing.edit_history import DrawnEdit, drawn_edits
+from monoloc.evaluation.cloud_metrics import MapClouds
 from monoloc.geometry import FloatArray, invert, rotation_to_quaternion, transform
 from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -230,12 +231,7 @@ def run_blueprint() -> rrb.Blueprint:
 
 
 def draw_map_change(
-    stream: rr.RecordingStream,
-    original: FloatArray,
-    adapted: FloatArray,
-    distances_m: FloatArray,
-    down: ArrayLike,
-    edits: tuple[DrawnEdit, ...],
+    stream: rr.RecordingStream, clouds: MapClouds, down: ArrayLike, edits: tuple[DrawnEdit, ...]
 ) -> None:
     """Log both clouds with boxes and edits, the original cloud coloured by distance, and a histogram of distances.
 
@@ -243,11 +239,11 @@ def draw_map_change(
 
     Args:
         stream: stream to the viewer.
-        original, adapted: clouds (N, 3) and (M, 3), world frame, metres.
-        distances_m: (N,) distance of each point of the original to the adapted cloud.
+        clouds: of the map before and after adaptation.
         down: (3,) approximate down direction in the world.
         edits: of the map.
     """
+    original, adapted, distances_m = clouds.original, clouds.adapted, clouds.distances_m
     log_edits(stream, edits, down)
     stream.log("world", _view_coordinates(down), static=True)
     for name, cloud, color in (("original", original, _ORIGINAL), ("adapted", adapted, _ADAPTED)):

@@ -15,6 +15,7 @@ from uuid import uuid4
 from monoloc.bundle import Bundle
 from monoloc.editing.edit_history import DrawnEdit
 from monoloc.errors import DataError, SettingError
+from monoloc.evaluation.cloud_metrics import MapClouds
 from monoloc.files import target_of
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
@@ -67,9 +68,7 @@ def show_map_change(
     name: str,
     view: bool,
     record: Path | None,
-    original: FloatArray,
-    adapted: FloatArray,
-    distances_m: FloatArray,
+    clouds: MapClouds,
     down: FloatArray,
     edits: tuple[DrawnEdit, ...],
 ) -> None:
@@ -82,7 +81,7 @@ def show_map_change(
     from monoloc.viz.rerun_viewer import draw_map_change, map_blueprint
 
     with _rerun_stream("monoloc map compare", name, map_blueprint(), view, record) as stream:
-        draw_map_change(stream, original, adapted, distances_m, down, edits)
+        draw_map_change(stream, clouds, down, edits)
 
 
 @contextmanager

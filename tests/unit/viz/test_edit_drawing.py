@@ -16,6 +16,7 @@ from edit_helpers import CUBE, mapped_room
 from monoloc.editing.box import Box
 from monoloc.editing.edit_history import DrawnEdit, drawn_edits
 from monoloc.editing.edits import move, remove
+from monoloc.evaluation.cloud_metrics import MapClouds
 from monoloc.geometry import FloatArray, make_pose
 from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
@@ -103,7 +104,8 @@ def test_viewer_lists_edits_by_number_and_kind(tmp_path: Path, edits: tuple[Draw
     cloud = mapped_room().original.sample(500, np.random.default_rng(0))
     shown = edits if is_edited else ()
     down = np.array([0.0, 1.0, 0.0])
-    show_map_change("a map", False, tmp_path / "map.rrd", cloud, cloud, np.ones(500), down, shown)
+    clouds = MapClouds(cloud, cloud, np.ones(500))
+    show_map_change("a map", False, tmp_path / "map.rrd", clouds, down, shown)
     recorded = Recorded(tmp_path / "map.rrd")
     names = {entity.split("/")[3].replace("\\", "") for entity in recorded.entities if "/world/edits/" in entity}
     assert names == ({"1 move", "2 remove"} if is_edited else set())

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monoloc.evaluation.cloud_metrics import cloud_distances
+from monoloc.evaluation.cloud_metrics import MapClouds, cloud_distances
 from monoloc.viz.map_drawing import plot_map_change
 from plot_helpers import check_picture
 
@@ -16,6 +16,6 @@ from plot_helpers import check_picture
 @pytest.mark.filterwarnings("error")
 def test_change_of_a_map_is_drawn(tmp_path: Path, down: list[float], shift_m: float) -> None:
     cloud = np.random.default_rng(0).uniform(0.0, [4.0, 3.0, 2.0], (1000, 3))
-    distances_m = cloud_distances(cloud, cloud + shift_m)
-    plot_map_change(tmp_path / "map.png", cloud, cloud + shift_m, distances_m, np.array(down), "A room")
+    clouds = MapClouds(cloud, cloud + shift_m, cloud_distances(cloud, cloud + shift_m))
+    plot_map_change(tmp_path / "map.png", clouds, np.array(down), "A room")
     check_picture(tmp_path / "map.png", 1500, 1200)
