@@ -34,6 +34,18 @@ class FrameFilter:
             self._reasons.append(f"{lost} {reason}")
         self.usable &= mask
 
+    def require_if_any(self, met: ArrayLike, reason: str) -> bool:
+        """As :meth:`require`, of what a recording may lack as a whole; returns whether any frame has it.
+
+        Args:
+            met: (count,) bool.
+            reason: as for :meth:`require`.
+        """
+        has_any = bool(np.any(met))
+        if has_any:
+            self.require(met, reason)
+        return has_any
+
     def positions(self, path: Path, fix: str) -> NDArray[np.int64]:
         """Indices of the frames that remain.
 

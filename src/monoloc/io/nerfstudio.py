@@ -62,9 +62,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     frames = FrameFilter(len(entries))
     frames.require([each.is_file() for each in color_paths], "without an image")
     depth_paths = [_depth_path(entry, file.parent) for entry in entries]
-    has_depth = any(each is not None for each in depth_paths)
-    if has_depth:
-        frames.require([each is not None for each in depth_paths], "without depth")
+    has_depth = frames.require_if_any([each is not None for each in depth_paths], "without depth")
     shared, is_centred = _completed(content, color_paths[frames.positions(file, _NO_IMAGES)[0]], file)
     camera, cameras = one_camera([_camera(shared | entry, file) for entry in entries], options, frames)
     used = frames.positions(file, _NO_IMAGES)

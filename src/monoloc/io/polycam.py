@@ -62,13 +62,10 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     color_paths = [folder / f"{prefix}images" / f"{file.stem}.jpg" for file in files]
     frames.require([each.is_file() for each in color_paths], "without an image")
     depth_paths = [folder / "depth" / f"{file.stem}.png" for file in files]
-    has_depth = any(each.is_file() for each in depth_paths)
-    if has_depth:
-        frames.require([each.is_file() for each in depth_paths], "without depth")
+    has_depth = frames.require_if_any([each.is_file() for each in depth_paths], "without depth")
     confidence_paths = [folder / "confidence" / f"{file.stem}.png" for file in files]
-    has_confidence = has_depth and any(each.is_file() for each in confidence_paths)
-    if has_confidence:
-        frames.require([each.is_file() for each in confidence_paths], "without confidence")
+    with_confidence = [each.is_file() for each in confidence_paths]
+    has_confidence = has_depth and frames.require_if_any(with_confidence, "without confidence")
     camera, own_cameras = one_camera(cameras, options, frames)
     used = frames.positions(folder, _AGAIN)
     return ImageRecording(

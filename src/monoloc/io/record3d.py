@@ -74,17 +74,14 @@ class Record3DRecording:
         times_s, cameras = _times(metadata, len(poses), metadata_path), _cameras(metadata, len(poses), metadata_path)
         frames = FrameFilter(len(poses))
         frames.require([archive.has(f"rgbd/{n}.jpg") for n in range(len(poses))], "without an image")
-        with_depth = np.array([archive.has(f"rgbd/{n}.depth") for n in range(len(poses))], dtype=np.bool_)
-        self.has_depth = bool(with_depth.any())
+        with_depth = [archive.has(f"rgbd/{n}.depth") for n in range(len(poses))]
+        self.has_depth = frames.require_if_any(with_depth, "without depth")
         self.notes: list[str] = [UNKNOWN_UPRIGHT]
         self._depth_size = (0, 0)
         if self.has_depth:
             _decoder()
-            frames.require(with_depth, "without depth")
             with_confidence = [archive.has(f"rgbd/{n}.conf") for n in range(len(poses))]
-            if any(with_confidence):
-                frames.require(with_confidence, "without confidence")
-            else:
+            if not frames.require_if_any(with_confidence, "without confidence"):
                 self.notes.append(NO_CONFIDENCE)
             self._depth_size = (_size(metadata, "dw", metadata_path), _size(metadata, "dh", metadata_path))
         self.camera, own_cameras = one_camera(cameras, options, frames)

@@ -73,9 +73,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     calibrations = [folder / f"{name}_calib" / f"{stem}.yaml" for stem in stems]
     frames.require([each.is_file() for each in calibrations], "without a calibration")
     depth_paths = [folder / f"{name}_depth" / f"{stem}.png" for stem in stems]
-    has_depth = any(each.is_file() for each in depth_paths)
-    if has_depth:
-        frames.require([each.is_file() for each in depth_paths], "without depth")
+    has_depth = frames.require_if_any([each.is_file() for each in depth_paths], "without depth")
     order = frames.positions(folder, _FIX)
     order = order[np.argsort(times_s[order], kind="stable")]
     check_increasing(times_s[order], poses_path)

@@ -88,13 +88,10 @@ class StrayScannerRecording:
         frames.require(numbers < count, "without an image in the video")
         depth_paths = [_file_of(path / "depth", number) for number in numbers]
         self.down_world = DOWN_OF_ARKIT
-        self.has_depth = any(depth_path is not None for depth_path in depth_paths)
+        self.has_depth = frames.require_if_any([each is not None for each in depth_paths], "without depth")
         if self.has_depth:
-            frames.require([depth_path is not None for depth_path in depth_paths], "without depth")
             with_confidence = [_file_of(path / "confidence", number) is not None for number in numbers]
-            if any(with_confidence):
-                frames.require(with_confidence, "without confidence")
-            else:
+            if not frames.require_if_any(with_confidence, "without confidence"):
                 self.notes.append(NO_CONFIDENCE)
         cameras = odometry.cameras or [_read_camera(path / _MATRIX, self._video.size)] * len(poses)
         self.camera, own_cameras = one_camera(cameras, options, frames)
