@@ -15,6 +15,7 @@ from monoloc.io.registry import FORMATS
 from monoloc.live.opening import is_live
 from monoloc.mavlink.firmware import Firmware
 from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, Marker, Markers, check_markers
+from monoloc.start import START_ERROR_DEG, START_ERROR_M
 
 _FORMAT = re.compile(rf"({'|'.join(FORMATS)}):(.+)")
 
@@ -44,8 +45,8 @@ class FlightFile(FlightSettings):
     mavlink: str | None = None
     firmware: Firmware | None = None
     start: str = "unknown"
-    start_error_cm: float = Field(10.0, ge=0.0, le=1e5)
-    start_error_deg: float = Field(3.0, ge=0.0, le=180.0)
+    start_error_cm: float = Field(100.0 * START_ERROR_M, ge=0.0, le=1e5)
+    start_error_deg: float = Field(START_ERROR_DEG, ge=0.0, le=180.0)
     budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)
     threads: Literal[1, 2] | None = None
     out: Path | None = None
