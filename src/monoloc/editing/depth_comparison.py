@@ -20,7 +20,6 @@ from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
-from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 from monoloc.recording_check.explanations import depth_scale_option
 from monoloc.sensor_depth import sparse_depth
 
@@ -63,7 +62,7 @@ def check_depth_scale(landmarks: Landmarks, recording: Recording, posed: PosedFr
     ratios = []
     for index, pose in zip(posed[0].tolist(), posed[1], strict=True):
         keypoints = localizer.detect(recording.color(index))
-        _, which, where = localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
+        _, which, where = localizer.matched_keypoints(keypoints, pose)
         depth = sparse_depth(recording.depth(index), recording.camera)
         camera, pixels = localizer.detector.camera, keypoints.pixels[where]
         ratios.append(depth_ratios(depth, camera, pixels, pose, landmarks.points[which]))

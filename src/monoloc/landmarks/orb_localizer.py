@@ -142,13 +142,13 @@ class OrbLandmarkLocalizer:
 
     def measure_near(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`measure`, with the prior's covariance as it is, and every landmark sought near its pixel."""
-        return self._agreeing(seen, prior, covariance, self._possible(prior)).measurement()
+        return self._agreeing(seen, prior, covariance).measurement()
 
     def matched_keypoints(
-        self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
+        self, seen: Keypoints, prior: FloatArray
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64], NDArray[np.int64]]:
-        """As :meth:`measure_near`, with the indices, (A,), of landmarks that agree and of their keypoints."""
-        agreement = self._agreeing(seen, prior, covariance, self._possible(prior))
+        """Landmarks near a prior, and the indices, (A,), of those that agree and of their keypoints."""
+        agreement = self._agreeing(seen, prior, PRIOR_COVARIANCE)
         return agreement.measurement(), agreement.possible[agreement.found], agreement.keypoints
 
     def _agreeing(
@@ -156,14 +156,14 @@ class OrbLandmarkLocalizer:
         seen: Keypoints,
         prior: FloatArray,
         covariance: FloatArray,
-        sought: tuple[NDArray[np.int64], FloatArray],
+        sought: tuple[NDArray[np.int64], FloatArray] | None = None,
     ) -> _Agreement:
         """The matches near a prior that agree with one pose.
 
         Args:
-            sought: of :meth:`_possible` at the prior.
+            sought: of :meth:`_possible` at the prior, where it is known already.
         """
-        possible, local = sought
+        possible, local = self._possible(prior) if sought is None else sought
         camera, room = self.detector.camera, self._landmarks
         expected = camera.project(local)
         which, where = match_descriptors(
@@ -226,12 +226,12 @@ class OrbLandmarkLocalizer:
 
         Landmarks are matched anew only around poses that the matches at the place allow.
         """
-        best = self._agreeing(seen, place, PRIOR_COVARIANCE, self._possible(place))
+        best = self._agreeing(seen, place, PRIOR_COVARIANCE)
         if best.fit is None:
             return best
         starts, (rivals, _) = flat_view_starts(best.fit.pose, best.fit.covariance), best.fit.rivals
         for start in starts[np.linalg.norm(rivals, axis=1) > _SAME_POSE]:
-            other = self._agreeing(seen, start, PRIOR_COVARIANCE, self._possible(start))
+            other = self._agreeing(seen, start, PRIOR_COVARIANCE)
             if other.fit is not None and len(other.keypoints) > len(best.keypoints):
                 best = other
         return best

@@ -18,7 +18,6 @@ from monoloc.io.recording import Recording
 from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
-from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 from monoloc.obstacles.depth_error import DepthError
 from monoloc.progress import Progress
 from monoloc.run import localize
@@ -195,7 +194,7 @@ class _Watcher:
             self.left_out["as the view before"] += 1
             return
         keypoints = self._localizer.detect(frame.color)
-        measured, which, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
+        measured, which, where = self._localizer.matched_keypoints(keypoints, pose)
         familiar = times >= FAMILIAR_TIMES
         if not self._is_witnessed(step.changed_region, familiar, measured.visible, measured.is_found):
             self.left_out["too few of the expected landmarks found"] += 1
