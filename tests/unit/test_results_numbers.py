@@ -276,6 +276,17 @@ def check_localizability(table: Table) -> None:
         )
 
 
+def check_unseen_rooms(table: Table) -> None:
+    flights = table_of("unseen-rooms.csv")
+    assert [row[0] for row in table.rows] == sorted({row["room"] for row in flights})
+    for room, *shown in table.rows:
+        found = chosen(flights, room=room)
+        silent = [total(found, name) for name in ("silent_30cm", "silent_3_5_sigma")]
+        distance, *shares = ([numbers(found[0], name)[0]] for name in ("distance", "starts_found", "kidnaps_found"))
+        errors = [values(found, name) for name in ("rmse_cm", "median_cm")]
+        agree_all(shown, [distance, *errors, [total(found, "tracking")], silent, *shares])
+
+
 def check_second_walk(table: Table) -> None:
     flights = table_of("second-walk.csv")
     assert len(table.rows) == len({(row["room"], row["walks"]) for row in flights})
@@ -292,6 +303,7 @@ CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("Other cameras", 0): check_other_cameras,
     ("Eight rendered rooms", 0): check_many_rooms,
     ("Eight rendered rooms", 1): check_starts_in_many_rooms,
+    ("Eight rooms that nobody had looked at", 0): check_unseen_rooms,
     ("Where a lost camera is found", 0): check_localizability,
     ("Where a lost camera is found", 1): check_second_walk,
     (RECOVERY, 0): check_recovery,

@@ -379,7 +379,16 @@ def by_bundle(rows: Rows, column: str) -> list[float]:
     return [total(chosen(rows, bundle=bundle), column) for bundle in ("tuned", "untuned")]
 
 
+LOOKED_AT_BY_NOBODY = table_of("unseen-rooms.csv")
 MANY_ROOMS: tuple[Sentence, ...] = (
+    (
+        "**No frame is silently wrong**, of {}, and",
+        [total(LOOKED_AT_BY_NOBODY, "frames")],
+    ),
+    (
+        "the camera is *lost* or *uncertain* in nearly half of the frames, at a median error of {} cm",
+        [round(float(np.mean(values(chosen(LOOKED_AT_BY_NOBODY, room="41"), "median_cm"))))],
+    ),
     (
         "Beside the walk, the RMSE is {} to {} cm in all rooms",
         extremes(chosen(SEEN, flight="beside the walk"), "rmse_cm"),
@@ -438,13 +447,22 @@ def test_what_the_bullets_of_eight_rooms_say_without_a_number() -> None:
     assert total(beside, "silent_30cm") == total(beside, "silent_3_5_sigma") == 0
     silent = {row["room"] for row in chosen(UNSEEN, flight="beside the walk") if row["silent_30cm"] != "0"}
     assert (
-        silent == {"18"} and max(room["false_tracking_rate"] for room in json_of("recovery-many-rooms.json")) < 0.0065
+        silent == {"18"} and max(room["false_tracking_rate"] for room in json_of("recovery-many-rooms.json")) < 0.0055
     )
     assert len({row["room"] for row in NEAR}) == 5
     for flights, rooms in ((LIT, 6), (DARK, 3)):
         tuned, untuned = (values(chosen(flights, bundle=bundle), "rmse_cm") for bundle in ("tuned", "untuned"))
         assert sum(first < second for first, second in zip(tuned, untuned, strict=True)) == rooms
     assert all(room["lost_reported_rate"] == 1.0 for room in json_of("recovery-many-rooms.json"))
+
+
+def test_what_the_bullets_of_rooms_that_nobody_had_looked_at_say_without_a_number() -> None:
+    assert total(LOOKED_AT_BY_NOBODY, "silent_30cm") == total(LOOKED_AT_BY_NOBODY, "silent_3_5_sigma") == 0
+    assert {row["coverage_95"] for row in LOOKED_AT_BY_NOBODY} == {"1.000"}
+    assert total(LOOKED_AT_BY_NOBODY, "false_tracking") == total(LOOKED_AT_BY_NOBODY, "wrong_place") == 0
+    often_lost = {row["room"] for row in LOOKED_AT_BY_NOBODY if float(row["kidnaps_found"]) < 0.8}
+    assert often_lost == {"41", "44"}
+    assert {row["starts_found"] for row in LOOKED_AT_BY_NOBODY if row["room"] == "44"} == {"0.00"}
 
 
 # --- Threads and budget ---
@@ -516,9 +534,8 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "of 200 frames; starts without a pose and kidnaps, 20 each, are found within 3 s": "definitions",
     "share of these 40 flights that are *tracking* more than 30 cm off": "a definition",
     "In room 17, the second walk": "a name",
-    "of its 40 flights are *tracking* 2 m off**: 31 to 34 landmarks": "of single frames that were not kept",
-    "in a later one of room 17, it was 56.7 %": "without kept runs",
-    "then 1.5 % (1 build)": "without kept runs",
+    "of its 40 flights were *tracking* 2 m off until": "of the version before, which was not kept",
+    "In this build of room 17, it was 56.7 %": "of the version before, which was not kept",
     "sends 30 images a second": "of the flight",
     "with AVX-512), which camera and peer": "a name",
     "After 60 s the camera is killed and comes back after 5 s": "of the flight",
@@ -548,15 +565,20 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "it was 8 and 16, and 2 and 18": "of the version before, which was not kept",
     "The build of this table had 48": "of the version before, which was not kept",
     "all of room 18": "a seed",
-    "more than 0.6 % of the *tracking* frames more than 30 cm off": "in the table",
+    "more than 0.5 % of the *tracking* frames more than 30 cm off": "in the table",
     "builds of seeds 3 and 4 by": "names",
     "which makes those of seed 0": "a name",
     "2 of 3 frames that were silently beyond 3.5 sigma": "compared, not kept",
     "and 0 to 3 frames a flight": "compared, not kept",
-    "In room 17, where few": "a seed",
-    "it was 29 % until": "of the version before, which was not kept",
+    "In an earlier build of that room, it was 29 % until": "of the version before, which was not kept",
     "In rooms 13, 15, 16 and 18, 0.35, 0.95, 0.90 and 0.70 of": "seeds, and shares of the version before",
     "In rooms 14 and 17, about half": "seeds",
+    "Rooms 41 to 48 were": "seeds",
+    "are of two flights, of 200 frames, from starts 10 cm and 3° off": "definitions",
+    "Starts without a pose and kidnaps, 20 each, are found": "a definition",
+    "more than 30 cm off. The stated": "a definition",
+    "In room 41,": "a seed",
+    "In room 44,": "a seed",
     "At the desk, 1 was": "by the rate, which is checked",
     "it was 91, 84 and 75 %": "of an earlier version, whose runs were not kept",
     "show 20 landmarks": "a definition",
@@ -621,7 +643,7 @@ def test_sentence(sentence: str, expected: list[float]) -> None:
 
 def test_every_other_number_is_none_of_kept_runs() -> None:
     sections = [each for each in sections_of(PAGE) if each[0] not in (*OF_CLAIMS, *WITHOUT_KEPT_RUNS)]
-    assert len(sections) == 12
+    assert len(sections) == 13
     assert other_numbers("".join(text for _, text in sections), SENTENCES, NOT_OF_THE_DATA) == []
 
 
