@@ -4,7 +4,7 @@
 
 Prints a row of CSV for each frame: the number of landmarks that ``monoloc map localizability`` expects at the frame's
 reference pose, the number found near it, and whether the landmarks alone find the camera, without a prior, less than
-30 cm off.
+30 cm off, at a pose that does not rest on a few corners.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from monoloc.evaluation.consistency import FAR_M
 from monoloc.geometry import pose_distance_m
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.landmarks.expected_landmarks import ExpectedLandmarks
+from monoloc.landmarks.influential_corners import sd_without_influential_corners
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 
@@ -34,7 +35,9 @@ def rows(room: str, bundle_path: str, source: str, frames: str) -> Iterator[dict
     for index, pose in enumerate(recording.poses):
         seen = localizer.detect(recording.color(index))
         place = localizer.relocalize(seen)
-        off_m = np.inf if place is None else float(np.linalg.norm(place.pose[:3, 3] - pose[:3, 3]))
+        off_m = np.inf
+        if place is not None and sd_without_influential_corners(place) < FAR_M:
+            off_m = float(np.linalg.norm(place.pose[:3, 3] - pose[:3, 3]))
         yield {
             "room": room,
             "frame": index,

@@ -31,7 +31,7 @@ from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
-from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
+from monoloc.relocalization.state_machine import Doubt, Mode, Relocalization, RelocalizationStateMachine
 from monoloc.second_thread import SecondThread
 from monoloc.start import Start, checked_start
 from monoloc.step import Step
@@ -258,7 +258,7 @@ class Localizer:
             observation.scan if observation.scan_has_enough_points else EMPTY_SCAN,
             observation.elapsed_s,
             self._integrity.probability_wrong,
-            self._state not in VOUCHED_FOR and not self._has_landmark_pose,
+            self._doubt(),
             partial(self._search_by_landmarks, observation) if observation.image_is_new else None,
             self._rng,
         )
@@ -269,6 +269,11 @@ class Localizer:
         elif relocalization.mode is not Mode.TRACKING:
             self._integrity.lose()
         return relocalization
+
+    def _doubt(self) -> Doubt:
+        if self._has_landmark_pose or self._state in VOUCHED_FOR:
+            return "none"
+        return "lost" if self._state == "lost" else "uncertain"
 
     def _search_by_landmarks(self, observation: Observation) -> LandmarkPose | None:
         return self._landmarks.relocalize(observation.landmarks_seen())

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from monoloc.relocalization.search import GlobalRelocalizer
 
 SUSPECTED = 0.5
 """Probability of a wrong belief from which the camera is searched for."""
+
+Doubt = Literal["none", "uncertain", "lost"]
+"""Of a belief: its state; none where it is vouched for, or where landmarks are found near it."""
 
 _SCAN_PERIOD_S, _LANDMARK_PERIOD_S = 1.0, 0.2  # between searches
 # Pose distance of two poses that count as one place, and of what two searches by landmarks find there. Wrong poses of
@@ -93,8 +97,9 @@ class Relocalization:
         particles: where they go on from.
         landmark_pose: where landmarks found the camera at this frame; the belief starts anew there.
         confirmed: whether a place that scans had found was confirmed at this frame.
-        awaits_landmarks: whether the camera is searched for where landmarks could be seen. A scan says nothing of the
-            belief then: particles of a lost camera wander, and sooner or later their scan fits as at right poses.
+        awaits_landmarks: whether the camera is lost, or is searched for, where landmarks could be seen. A scan says
+            nothing of the belief then: particles of a lost camera wander, and sooner or later their scan fits as at
+            right poses.
         is_searched: whether the room was searched at this frame, which takes time.
     """
 
@@ -143,7 +148,7 @@ class RelocalizationStateMachine:
         scan: Scan,
         elapsed_s: float,
         probability_wrong: float,
-        is_uncertain: bool,
+        doubt: Doubt,
         by_landmarks: Callable[[], LandmarkPose | None] | None,
         rng: np.random.Generator,
     ) -> Relocalization:
@@ -154,7 +159,7 @@ class RelocalizationStateMachine:
             scan: of this frame; empty where depth says nothing.
             elapsed_s: since the previous frame.
             probability_wrong: that the belief is wrong.
-            is_uncertain: whether the belief is not vouched for, and no landmarks are found near it.
+            doubt: after the frame before.
             by_landmarks: relocalises by landmarks; called only if a search is due. None where the image says nothing.
             rng: used only if a search is due.
         """
@@ -165,7 +170,7 @@ class RelocalizationStateMachine:
         self._since_scan_search_s += elapsed_s
         self._since_landmark_search_s += elapsed_s
         is_sought = self.mode is not Mode.TRACKING or probability_wrong >= SUSPECTED
-        if not is_sought and not is_uncertain:
+        if not is_sought and doubt == "none":
             self._elsewhere = None
             return Relocalization(self.mode, particles)
         is_due = self._searches_by_landmarks and self._since_landmark_search_s >= _LANDMARK_PERIOD_S
@@ -179,10 +184,10 @@ class RelocalizationStateMachine:
             place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
             particles = self._relocalizer.sample_around(place, len(particles), rng)
             return Relocalization(self.mode, particles, landmark_pose=seen, is_searched=True)
-        if not is_sought:
-            return Relocalization(self.mode, particles, is_searched=search is not None)
-        if self._searches_by_landmarks and by_landmarks is not None:
-            return Relocalization(self.mode, particles, awaits_landmarks=True, is_searched=search is not None)
+        could_see = self._searches_by_landmarks and by_landmarks is not None
+        if not is_sought or could_see:
+            awaits = could_see and (is_sought or doubt == "lost")
+            return Relocalization(self.mode, particles, awaits_landmarks=awaits, is_searched=search is not None)
         if len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S:
             self._since_scan_search_s = 0.0
             return self._search_by_scan(particles, scan, rng)

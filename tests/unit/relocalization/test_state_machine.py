@@ -21,6 +21,7 @@ from monoloc.relocalization import state_machine
 from monoloc.relocalization.state_machine import (
     SUSPECTED,
     TRANSITIONS,
+    Doubt,
     Event,
     Mode,
     Relocalization,
@@ -104,12 +105,12 @@ def update(
     probability_wrong: float = BELIEVED,
     sd_m: float = KNOWN_SD_M,
     landmarks: _Landmarks | None = None,
-    is_uncertain: bool = False,
+    doubt: Doubt = "none",
 ) -> After:
     """After a frame whose particles and belief were at ``x_m``; its image says nothing, so that scans search."""
     rng = np.random.default_rng(0)
     particles, belief = copies_of(estimate_at(x_m)), estimate_at(x_m, sd_m)
-    result = machine.update(particles, belief, scan, elapsed_s, probability_wrong, is_uncertain, landmarks, rng)
+    result = machine.update(particles, belief, scan, elapsed_s, probability_wrong, doubt, landmarks, rng)
     assert isinstance(result, Relocalization) and len(result.particles) == 10 and result.mode is machine.mode
     by_landmarks = result.landmark_pose is not None
     assert not by_landmarks or result.landmark_pose.pose[0, 3] == landmarks.x_m
@@ -378,6 +379,16 @@ def test_suspected_belief_goes_on_where_landmarks_find_the_camera_there(x_m: flo
     assert after == After(Mode.TRACKING, expected_m, by_landmarks=begins_anew, awaits_landmarks=not begins_anew)
 
 
+@pytest.mark.parametrize(("doubt", "awaits"), [("none", False), ("uncertain", False), ("lost", True)])
+def test_lost_camera_awaits_landmarks_however_probable_its_belief(doubt: Doubt, awaits: bool) -> None:
+    """A wide belief is lost, though nothing speaks against it."""
+    machine = machine_with(mode=Mode.TRACKING)
+    after = update(machine, 0.0, landmarks=_Landmarks(None), doubt=doubt)
+    assert after == After(Mode.TRACKING, 0.0, awaits_landmarks=awaits)
+    for says_nothing in (machine, machine_with(mode=Mode.TRACKING, searches_by_landmarks=False)):
+        assert not update(says_nothing, 0.0, landmarks=None, doubt=doubt).awaits_landmarks
+
+
 # --- A place that rests on a few corners ---
 
 
@@ -407,55 +418,55 @@ def test_few_corners_that_find_another_place_each_time_leave_the_camera_lost() -
 def test_uncertain_belief_is_left_for_a_place_that_two_searches_in_turn_find() -> None:
     """The camera moves on by 0.5 m between them, as the belief does."""
     machine = machine_with(mode=Mode.TRACKING)
-    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True) == After(Mode.TRACKING, 0.0)
-    found = update(machine, 0.5, landmarks=_Landmarks(4.5), is_uncertain=True)
+    assert update(machine, 0.0, landmarks=_Landmarks(4.0), doubt="uncertain") == After(Mode.TRACKING, 0.0)
+    found = update(machine, 0.5, landmarks=_Landmarks(4.5), doubt="uncertain")
     assert found == After(Mode.TRACKING, 4.5, by_landmarks=True)
 
 
 @pytest.mark.parametrize(
     "between",
     [
-        {"landmarks": _Landmarks(7.0), "is_uncertain": True},
-        {"landmarks": _Landmarks(0.0), "is_uncertain": True},
-        {"landmarks": _Landmarks(None), "is_uncertain": True},
-        {"is_uncertain": False},
+        {"landmarks": _Landmarks(7.0), "doubt": "uncertain"},
+        {"landmarks": _Landmarks(0.0), "doubt": "uncertain"},
+        {"landmarks": _Landmarks(None), "doubt": "uncertain"},
+        {"doubt": "none"},
     ],
 )
 def test_uncertain_belief_stays_where_a_search_between_did_not_find_the_place(between: dict[str, Any]) -> None:
     machine, stays = machine_with(mode=Mode.TRACKING), After(Mode.TRACKING, 0.0)
-    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True) == stays
+    assert update(machine, 0.0, landmarks=_Landmarks(4.0), doubt="uncertain") == stays
     assert update(machine, 0.0, **between) == stays
-    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True) == stays
+    assert update(machine, 0.0, landmarks=_Landmarks(4.0), doubt="uncertain") == stays
 
 
 def test_uncertain_belief_is_searched_for_by_landmarks_alone_five_times_a_second() -> None:
     """The relocaliser by scans has no answer to give: it must not be asked."""
     landmarks, machine = _Landmarks(None), machine_with(mode=Mode.TRACKING)
     for _ in range(20):
-        assert update(machine, elapsed_s=0.1, landmarks=landmarks, is_uncertain=True) == After(Mode.TRACKING, HERE_M)
+        assert update(machine, elapsed_s=0.1, landmarks=landmarks, doubt="uncertain") == After(Mode.TRACKING, HERE_M)
     assert landmarks.calls in (10, 11)
 
 
 def test_suspected_belief_is_left_for_a_place_that_one_search_finds() -> None:
     machine = machine_with(mode=Mode.TRACKING)
-    found = update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True, probability_wrong=SUSPECTED)
+    found = update(machine, 0.0, landmarks=_Landmarks(4.0), doubt="uncertain", probability_wrong=SUSPECTED)
     assert found == After(Mode.TRACKING, 4.0, by_landmarks=True)
 
 
 @pytest.mark.parametrize(
-    ("is_uncertain", "probability_wrong", "landmarks", "is_searched"),
+    ("doubt", "probability_wrong", "landmarks", "is_searched"),
     [
-        (False, BELIEVED, _Landmarks(None), False),
-        (True, BELIEVED, _Landmarks(None), True),
-        (True, BELIEVED, None, False),
-        (False, WRONG, _Landmarks(4.0), True),
-        (False, WRONG, None, True),  # by the scan
+        ("none", BELIEVED, _Landmarks(None), False),
+        ("uncertain", BELIEVED, _Landmarks(None), True),
+        ("uncertain", BELIEVED, None, False),
+        ("none", WRONG, _Landmarks(4.0), True),
+        ("none", WRONG, None, True),  # by the scan
     ],
 )
 def test_frame_says_whether_the_room_was_searched(
-    is_uncertain: bool, probability_wrong: float, landmarks: _Landmarks | None, is_searched: bool
+    doubt: Doubt, probability_wrong: float, landmarks: _Landmarks | None, is_searched: bool
 ) -> None:
     machine, rng = machine_with((3.0, FITS), mode=Mode.TRACKING), np.random.default_rng(0)
     particles, belief = copies_of(estimate_at(0.0)), estimate_at(0.0)
-    result = machine.update(particles, belief, SCAN, PERIOD_S, probability_wrong, is_uncertain, landmarks, rng)
+    result = machine.update(particles, belief, SCAN, PERIOD_S, probability_wrong, doubt, landmarks, rng)
     assert result.is_searched == is_searched
