@@ -186,12 +186,16 @@ TOO_HIGH = {
     for room in dict.fromkeys(row["room"] for row in VIEWS)
     for predicted, actual in [predicted_and_actual(chosen(VIEWS, room=room))]
 }
-assert max(TOO_HIGH, key=lambda room: TOO_HIGH[room]) == "desk" and len(TOO_HIGH) == 10
+FAR_TOO_HIGH = ("desk", "44", "46")
 LOCALIZABILITY: tuple[Sentence, ...] = (
-    ("predicts too much: a share of {} more than are found", [TOO_HIGH["desk"]]),
+    ("**In {} of {} recordings, `monoloc map localizability`", [len(FAR_TOO_HIGH), len(TOO_HIGH)]),
     (
-        "In the nine other recordings, the shares differ by {} at most",
-        [max(abs(share) for room, share in TOO_HIGH.items() if room != "desk")],
+        "and in rooms 44 and 46, the share is {}, {} and {} higher",
+        [TOO_HIGH[room] for room in FAR_TOO_HIGH],
+    ),
+    (
+        "In the fifteen others, the shares differ by {} at most",
+        [max(abs(share) for room, share in TOO_HIGH.items() if room not in FAR_TOO_HIGH)],
     ),
 )
 
@@ -523,6 +527,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "where 480 instead of 518 of 900 frames": "without kept runs",
     "the 95th percentile of a step is 15 to 16 ms in RedKitchen and 26 to 29 ms at": "without kept runs",
     "find the camera less than 30 cm off": "a definition",
+    "In room 46, many": "a seed",
     "**1 untuned build** a room. [The constants": "one in the file",
     "the desk and room 17 were looked at": "a name",
     "by 10 and 33 %, and along their height by 10 and 33 %, during the whole flight": "definitions",
@@ -567,6 +572,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "all of room 18": "a seed",
     "more than 0.5 % of the *tracking* frames more than 30 cm off": "in the table",
     "builds of seeds 3 and 4 by": "names",
+    "have an RMSE of 7, 16 and 7 cm, and had 7, 46 and 7 cm before": "without kept runs",
     "which makes those of seed 0": "a name",
     "2 of 3 frames that were silently beyond 3.5 sigma": "compared, not kept",
     "and 0 to 3 frames a flight": "compared, not kept",
@@ -574,6 +580,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "In rooms 13, 15, 16 and 18, 0.35, 0.95, 0.90 and 0.70 of": "seeds, and shares of the version before",
     "In rooms 14 and 17, about half": "seeds",
     "Rooms 41 to 48 were": "seeds",
+    "rooms 41 and 44 were looked at": "seeds",
     "are of two flights, of 200 frames, from starts 10 cm and 3° off": "definitions",
     "with untuned bundles, **1 build** a room": "in the table",
     "Starts without a pose and kidnaps, 20 each, are found within 3 s": "a definition",
