@@ -80,8 +80,10 @@ class Localizer:
                 f"config must be settings of a localizer or None, got {type(config).__name__}; "
                 "write monoloc.config.override(bundle.settings, NAME=VALUE)"
             )
-        bundle, self._config = leave_out(bundle, config or bundle.settings)
-        self._bundle, self._camera = bundle, camera
+        if config is not None and config != bundle.settings:
+            bundle = replace(bundle, settings=config)
+        bundle = leave_out(bundle)
+        self._bundle, self._config, self._camera = bundle, bundle.settings, camera
         self._rng = np.random.default_rng(seed)
         made = checked_components(components(bundle, camera, self._config))
         self._likelihood, self._landmarks = made.likelihood, made.landmarks

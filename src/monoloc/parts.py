@@ -12,7 +12,7 @@ from monoloc.errors import SettingError
 from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.landmarks.landmark_map import Landmarks
-from monoloc.localizer_config import PARTS, LocalizerConfig, Part
+from monoloc.localizer_config import PARTS, Part
 
 _SETTINGS: dict[Part, dict[str, Any]] = {
     "odometry": {"motion": "random-walk"},
@@ -21,8 +21,8 @@ _SETTINGS: dict[Part, dict[str, Any]] = {
 }
 
 
-def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, LocalizerConfig]:
-    """The bundle and the settings of a flight, without the parts that the settings leave out.
+def leave_out(bundle: Bundle) -> Bundle:
+    """The bundle and its settings, without the parts that these leave out.
 
     - ``landmarks``: poses by landmarks.
     - ``scan``: particles are weighed neither by depth scans nor by odometry's corners. Depth still scales odometry.
@@ -37,9 +37,10 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
 
     The scan, the last two, and the belief's memory are left out where they are used: a bundle does not hold them.
     """
+    config = bundle.settings
     without = config.without
     if not without:
-        return (bundle if bundle.settings == config else replace(bundle, settings=config)), config
+        return bundle
     changes = {name: value for part in without for name, value in _SETTINGS.get(part, {}).items()}
     if "bias" in without or "known-bias" in without:
         changes = {"particle_bias": _with_known_part(config.particle_bias, bundle.reference_poses)} | changes
@@ -49,8 +50,7 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
         changes |= {"particle_bias": BiasModel(), "landmark_bias": LandmarkBiasModel(**noise)}
     if "landmarks" in without:
         bundle = replace(bundle, landmarks=Landmarks.none())
-    reduced = config.model_copy(update=changes)
-    return replace(bundle, settings=reduced), reduced
+    return replace(bundle, settings=config.model_copy(update=changes))
 
 
 def _with_known_part(model: BiasModel, known: ReferencePoses) -> BiasModel:

@@ -26,7 +26,7 @@ from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.parts import leave_out
 from monoloc.progress import Progress
-from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
+from monoloc.sensor_depth import sensor_bundle, sparse_depth
 from monoloc.settled_objects import settled
 from monoloc.start import Start
 from monoloc.step import LocalizedFrame, Step
@@ -187,13 +187,12 @@ def localize(
         raise ValueError(f"down must have shape ({len(recording)}, 3), got {np.shape(down)}")
     if motions is not None and len(motions) != len(recording):
         raise ValueError(f"motions must be {len(recording)}, one a frame, got {len(motions)}")
-    config = bundle.settings
     if use_sensor_depth:
         if not recording.has_depth:
             raise DataError(recording.name, "has no depth", "leave out --depth sensor")
-        bundle, config = sensor_bundle(bundle), sensor_settings(config)
-    bundle, config = leave_out(bundle, config)
-    localizer = Localizer(bundle, recording.camera, start, config, components, rng)
+        bundle = sensor_bundle(bundle)
+    bundle = leave_out(bundle)
+    localizer = Localizer(bundle, recording.camera, start, components=components, seed=rng)
     build_frames = set(bundle.provenance.frames.values())
     log = _Log(recording, None if start is None else start.pose)
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
@@ -213,7 +212,7 @@ def localize(
             log.add(step, unseen, step_ms, sensor)
             viewer.show(LocalizedFrame(index, color, step, localizer.particles, log.dead_reckoning[-1], step_ms))
             show(index + 1)
-    return log.run(config)
+    return log.run(bundle.settings)
 
 
 class _Log:

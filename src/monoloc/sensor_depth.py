@@ -34,7 +34,7 @@ def sensor_settings(config: LocalizerConfig) -> LocalizerConfig:
 
 
 def sensor_bundle(bundle: Bundle) -> Bundle:
-    """The bundle with what the build measured of a sensor's scans in place of the network's.
+    """The bundle with a sensor's settings, and what the build measured of its scans, in place of the network's.
 
     Where the build recording had no depth, a sensor's scans never fit too badly and say nothing of the belief.
     """
@@ -43,7 +43,10 @@ def sensor_bundle(bundle: Bundle) -> Bundle:
         update={"scan": bundle.sensor.scan, "scan_search_precision": bundle.sensor.search_precision}
     )
     thresholds = bundle.sensor.thresholds or LikelihoodThresholds.none()
-    return replace(bundle, thresholds=thresholds, reference_poses=reference_poses, integrity=integrity)
+    settings = sensor_settings(bundle.settings)
+    return replace(
+        bundle, settings=settings, thresholds=thresholds, reference_poses=reference_poses, integrity=integrity
+    )
 
 
 def sparse_depth(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:

@@ -60,7 +60,7 @@ def test_what_the_build_measured_of_the_sensor_replaces_what_it_measured_of_the_
     bundle = make_bundle(mixture, recording)
     bundle = replace(bundle, sensor=sensor, reference_poses=ReferencePoses(recording.poses, bias, bias))
     by_sensor = sensor_bundle(bundle)
-    assert by_sensor.thresholds == sensor.thresholds
+    assert by_sensor.thresholds == sensor.thresholds and by_sensor.settings == sensor_settings(bundle.settings)
     assert by_sensor.integrity == bundle.integrity.model_copy(
         update={"scan": sensor.scan, "scan_search_precision": 0.8}
     )
