@@ -19,6 +19,7 @@ from monoloc.landmarks.pnp import LandmarkPose
 _CORNER_RAD = 0.03  # within which landmarks are of one corner: about 10 px of the images in which they are found
 _LEFT_OUT, _LEAST_CORNERS = 4, 3  # corners that are left out, and that must be left
 _LEAST_INFORMATION = 1e-3  # of a twist, in m^-2 and rad^-2, so that every sum can be inverted
+_LEAST_VARIANCE = 1e-12  # of a ray, so that a pose may be stated as exact
 
 
 def sd_without_influential_corners(place: LandmarkPose) -> float:
@@ -35,7 +36,8 @@ def sd_without_influential_corners(place: LandmarkPose) -> float:
     if len(sizes) < _LEFT_OUT + _LEAST_CORNERS:
         return math.inf
     information = _information(local)
-    variance = float(np.trace(place.covariance @ information.sum(axis=0))) / 6.0  # of a ray, as the covariance says
+    # Of a ray, as the covariance says.
+    variance = max(_LEAST_VARIANCE, float(np.trace(place.covariance @ information.sum(axis=0))) / 6.0)
     corners = np.zeros((len(sizes), 6, 6))
     np.add.at(corners, corner_of, information / (variance * sizes[corner_of, None, None]))
     for _ in range(_LEFT_OUT):

@@ -65,6 +65,10 @@ def test_several_landmarks_of_each_corner_make_no_pose_more_certain(local: Float
     assert sd_without_influential_corners(five_times) == pytest.approx(sd_without_influential_corners(once))
 
 
+def test_pose_that_is_stated_as_exact_is_certain() -> None:
+    assert sd_without_influential_corners(LandmarkPose(POSE, np.zeros((6, 6)), transform(POSE, ROOM))) < 1e-3
+
+
 @pytest.mark.parametrize(("corners", "is_finite"), [(6, False), (7, True)])
 def test_pose_of_fewer_than_seven_corners_is_never_certain(corners: int, is_finite: bool) -> None:
     place = place_of(np.repeat(ROOM[:corners], 6, axis=0))
