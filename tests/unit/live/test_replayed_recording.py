@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from monoloc.io.recording import Recording
+from monoloc.live import replayed_recording
 from monoloc.live.frame_source import EndOfStreamError, FrameSource
 from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
 from synthetic_room import SMALL_CAMERA
@@ -34,12 +33,14 @@ class Numbers:
 
 
 class Clock:
-    """Time that passes only where somebody sleeps."""
+    """In the place of ``time``: passes only where a replayed recording sleeps, and no thread of another test."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 5000.0
-        monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
-        monkeypatch.setattr(time, "sleep", self.sleep)
+        monkeypatch.setattr(replayed_recording, "time", self)
+
+    def monotonic(self) -> float:
+        return self.now_s
 
     def sleep(self, duration_s: float) -> None:
         assert duration_s >= 0.0
