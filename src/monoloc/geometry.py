@@ -111,6 +111,12 @@ def ray_jacobian(points: FloatArray) -> FloatArray:
     return J
 
 
+def ray_twist_jacobian(local: FloatArray) -> FloatArray:
+    """Jacobian of (x / z, y / z) of points in a camera's frame by the camera's twist: (N, 3) -> (N, 2, 6)."""
+    by_point = ray_jacobian(local)
+    return np.concatenate([-by_point, by_point @ hat(local)], axis=2)
+
+
 def pose_distance_m(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Distance in metres plus one metre per radian of rotation, from a pose (4, 4) to others (N, 4, 4): (N,)."""
     return _core.pose_distances(pose, others, TURN_WORTH_M)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray, hat, invert, ray_jacobian, transform
+from monoloc.geometry import FloatArray, invert, ray_twist_jacobian, transform
 from monoloc.landmarks.pnp import LandmarkPose
 
 _CORNER_RAD = 0.03  # within which landmarks are of one corner: about 10 px of the images in which they are found
@@ -59,8 +59,7 @@ def _corner_of(local: FloatArray) -> NDArray[np.int64]:
 
 def _information(local: FloatArray) -> FloatArray:
     """Of the camera's twist, by each of N points in its frame, (N, 6, 6), if its ray has a deviation of 1."""
-    by_point = ray_jacobian(local)
-    by_twist = np.concatenate([-by_point, by_point @ hat(local)], axis=2)
+    by_twist = ray_twist_jacobian(local)
     return np.asarray(by_twist.transpose(0, 2, 1) @ by_twist)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_jacobian, se3_exp, se3_log, transform
+from monoloc.geometry import FloatArray, invert, make_pose, ray_twist_jacobian, se3_exp, se3_log, transform
 
 _MOST_FITS = 4  # of a pose to the landmarks that agree with it
 _ONES = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
@@ -165,9 +165,7 @@ def _residuals(
     """Residuals (M, 2) in standard deviations, and their derivative by the pose's twist, (M, 2, 6)."""
     local = transform(invert(pose), points)
     local[:, 2] = np.maximum(local[:, 2], nearest_m)
-    by_point = ray_jacobian(local)
-    jacobian = np.concatenate([-by_point, by_point @ hat(local)], axis=2)
-    return (local[:, :2] / local[:, 2:] - rays) / sd, jacobian / sd[..., None]
+    return (local[:, :2] / local[:, 2:] - rays) / sd, ray_twist_jacobian(local) / sd[..., None]
 
 
 def find_consensus(

@@ -204,8 +204,9 @@ class RelocalizationStateMachine:
             return None
         self._elsewhere = seen.pose @ invert(belief.pose)
         is_found_again = before is not None and _is_same_place(before @ belief.pose, seen.pose, _FOUND_AGAIN_M)
-        once_m = _FOUND_SD_M if is_sought else 0.0
-        most_m = _FOUND_AGAIN_SD_M if is_found_again else once_m
+        if not (is_sought or is_found_again):
+            return None
+        most_m = _FOUND_AGAIN_SD_M if is_found_again else _FOUND_SD_M
         return seen if sd_without_influential_corners(seen) < most_m else None
 
     def _is_believed(self, seen: LandmarkPose, belief: Estimate) -> bool:
