@@ -2,58 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from monoloc.adapt.map_transform import AdaptedMap
+from monoloc.adapt.result import AdaptResult
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import make_views
-from monoloc.adapt.tuning import Adaptation, Score
-from monoloc.depth.spec import DepthModel
+from monoloc.adapt.tuning import Adaptation
 from monoloc.depth.training.checkpoint import load_network
 from monoloc.depth.training.export import export_model
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 from monoloc.map.depth_rendering import supervision
-from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
 _EVALUATIONS = 10
-
-
-@dataclass(frozen=True)
-class AdaptResult:
-    """Result of adaptation.
-
-    Attributes:
-        original, adapted: the map before and after; component i of one corresponds to component i of the other.
-        depth_model: the network, tuned on all frames.
-        hold_out_model, hold_out_map: result of the hold-out run, tuned without the held-out frames; used for
-            evaluation.
-        held_out: frame indices of the held-out frames, one array per region.
-        scores: scores on the held-out frames; the first is before tuning, the last is of the selected state.
-        steps: steps of the final run; 0 if the likelihood is the only objective and the hold-out run did not improve
-            the held-out frames.
-        kl: KL(M || M_A), nats.
-        transform: that adapted the map; None if it was not tuned.
-    """
-
-    original: GaussianMixture
-    adapted: GaussianMixture
-    depth_model: DepthModel
-    hold_out_model: DepthModel
-    hold_out_map: GaussianMixture
-    held_out: list[NDArray[np.int64]]
-    scores: list[Score]
-    steps: int
-    kl: float
-    transform: LearntTransform | None
 
 
 def adapt(

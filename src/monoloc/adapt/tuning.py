@@ -15,6 +15,7 @@ from monoloc.adapt.frozen_layers import batches, frozen_outputs
 from monoloc.adapt.map_transform import AdaptedMap
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood, volume_log_likelihood
 from monoloc.adapt.pose_step import pose_step_loss, pose_steps
+from monoloc.adapt.result import Score
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views
 from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
@@ -26,16 +27,6 @@ from monoloc.depth.training.schedule import one_cycle
 _STEPS_A_MAP_STEP = 4  # of tuning by depth; the map changes little meanwhile
 _ENCODER_RATE = 0.5  # of the other layers' learning rate
 _NO_DIFFERENCE = 0.05  # share of the held-out gain that counts as no difference; longer tuning generalises better
-
-
-@dataclass(frozen=True)
-class Score:
-    """Scores on real frames: mean negative log-likelihood (nats), depth loss and AbsRel."""
-
-    step: int
-    nll: float
-    depth_loss: float
-    absrel: float
 
 
 @dataclass(frozen=True)

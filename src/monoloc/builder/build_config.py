@@ -1,14 +1,12 @@
-"""Settings and report of a build."""
+"""Settings of a build."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.builder.bias import KnownBiasCheck
 from monoloc.fusion.reference_poses import MOST_POSES
 from monoloc.localizer_config import ADDITIONS, LocalizerConfig
 
@@ -74,43 +72,3 @@ METHODS: dict[Method, BuildConfig] = {
     ),
 }
 """Settings of monoloc's method, and of that of Shukla et al. 2023."""
-
-
-@dataclass(frozen=True)
-class BuildReport:
-    """What a build measured; the JSON keys of ``monoloc build``.
-
-    ``frames`` were used of ``recorded_frames``. ``nll`` and AbsRel are of held-out frames, in regions apart from the
-    others. The change of the map is as in :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's
-    output are None where they were not fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``known_bias_used`` says
-    whether flights subtract the bias that was measured at the reference poses. They do if that helped in
-    ``known_bias_check``, which is None where no frame was held out, or where no segment of the recording is long
-    enough to know a bias of. ``scale_sd`` is the relative standard deviation of the map's scale, None where a sensor
-    measured it.
-    """
-
-    frames: int
-    recorded_frames: int
-    cloud_points: int
-    components: int
-    nll_start: float | None
-    nll_end: float | None
-    kl: float
-    shift_median_m: float
-    shift_p95_m: float
-    correspondence_share: float
-    size_ratio_median: float
-    landmarks: int
-    held_out_frames: int
-    depth_absrel_before: float | None
-    depth_absrel_after: float | None
-    depth_scale: float | None
-    depth_shift: float | None
-    steps: int
-    known_bias_used: bool
-    known_bias_check: KnownBiasCheck | None
-    scale_sd: float | None
-    pose_shift_median_m: float | None
-    pose_turn_median_deg: float | None
-    seconds: float
-    warnings: list[str]

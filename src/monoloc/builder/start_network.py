@@ -29,6 +29,11 @@ class StartNetwork:
     model: DepthModel
     file: Path | None
 
+    @property
+    def fits_scale(self) -> bool:
+        """Whether the scale of its output is unknown, and is fitted to the recording's depth."""
+        return self.file is None and self.model.spec.scale is None
+
 
 def checked_network(recording: Recording, config: BuildConfig, network: str | Path) -> StartNetwork:
     """The network, after checks of recording, settings and network.

@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 from monoloc.adapt.settings import QUICK, Tune
-from monoloc.builder.build_config import METHODS, BuildConfig, BuildReport, Method
+from monoloc.builder.build_config import METHODS, BuildConfig, Method
 from monoloc.builder.build_plan import expected_stages
+from monoloc.builder.build_report import BuildReport
 from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import Bundle, write_bundle
 from monoloc.cli.bundle_output import check_bundle_output, note_replaced

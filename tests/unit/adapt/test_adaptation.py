@@ -16,9 +16,10 @@ from adapt_helpers import RedAndNear, RoomMap, redness, room_map
 from depth_helpers import ROOM, SMALL_CAMERA, exported_model, looking_around, small_recording, tiny_network
 from monoloc.adapt import adaptation
 from monoloc.adapt.adaptation import adapt
+from monoloc.adapt.result import Score
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views
-from monoloc.adapt.tuning import Adaptation, Score
+from monoloc.adapt.tuning import Adaptation
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.build_plan import expected_stages
 from monoloc.depth.predictor import DepthPredictor

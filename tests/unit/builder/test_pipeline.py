@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from edit_helpers import bend
 from map_helpers import make_mixture
-from monoloc.adapt.adaptation import AdaptResult
-from monoloc.adapt.tuning import Score
+from monoloc.adapt.result import AdaptResult, Score
 from monoloc.builder.bias import KnownBiasCheck
-from monoloc.builder.build_config import METHODS, BuildConfig, BuildReport
+from monoloc.builder.build_config import METHODS, BuildConfig
+from monoloc.builder.build_report import BuildReport
 from monoloc.builder.pipeline import build_bundle
 from monoloc.builder.samples import Sample
 from monoloc.bundle import Bundle, fingerprint
@@ -129,8 +129,6 @@ def measurements(monkeypatch: pytest.MonkeyPatch) -> Measurements:
     """A build that adapts to :data:`RESULT` and measures nothing."""
     measurements = Measurements()
     replacements = {
-        "check_recording": lambda *_: [],
-        "check_frames": lambda *_: [REMARK],
         "DepthPredictor": _Predictor,
         "make_likelihood": lambda mixture, config: (mixture, config),
         "localizer_factory": lambda bundle, seed: bundle,
@@ -146,6 +144,8 @@ def measurements(monkeypatch: pytest.MonkeyPatch) -> Measurements:
     }
     for name, replacement in replacements.items():
         monkeypatch.setattr(f"monoloc.builder.pipeline.{name}", replacement)
+    monkeypatch.setattr("monoloc.builder.mapped_room.check_recording", lambda *_: [])
+    monkeypatch.setattr("monoloc.builder.mapped_room.check_frames", lambda *_: [REMARK])
     monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: RESULT)
     monkeypatch.setattr(
         "monoloc.depth.training.quantise.quantise", lambda content, _: (b"8 bits of " + content, None)

@@ -10,7 +10,7 @@ import pytest
 
 from cli_helpers import outputs, refused, succeeds
 from edit_helpers import CUBE, mapped_room
-from monoloc.builder.build_config import BuildReport
+from monoloc.builder.build_report import BuildReport
 from monoloc.bundle import Bundle, read_bundle, write_bundle
 from monoloc.errors import DataError
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
