@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,6 +89,7 @@ def _in_depth_image(pixels: NDArray[np.float32], camera: Camera, depth_camera: C
     return np.where(depth_camera.in_sight(rays)[:, None], depth_camera.project(rays), np.inf)
 
 
+@lru_cache(8)  # the two cameras of a flight are compared several times a frame
 def _is_resized(camera: Camera, other: Camera) -> bool:
     """Whether another camera is that of the same image at another size, or every n-th pixel of it."""
     at_its_size = camera.resized(other.width, other.height)

@@ -39,8 +39,7 @@ class RayMixture:
 
         ``sum_p w_p log((1 - eps) d p(d | ray) + eps / range)``, where d is predicted depth times the particle's
         scale, and p is the map's density of depth on the ray, convolved with the error of depth. NumPy twin with the
-        full
-        formula: :func:`monoloc.map.numpy_twins.weigh_rays`.
+        full formula: :func:`monoloc.map.numpy_twins.weigh_rays`.
 
         Args:
             poses: ``T_world_camera``, (N, 4, 4).
