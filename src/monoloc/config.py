@@ -74,7 +74,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
-    """The first unknown field with the known one that is nearest, if there is one.
+    """The first unknown field with the known one that is spelt alike, or with all known ones.
 
     A field that is missing is often this one, misspelt.
     """
@@ -82,13 +82,10 @@ def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
     if first is None:
         return None
     *within, key = first["loc"]
-    nearest = nearest_keys(str(key), _keys(model, within), 1)
-    return f"{'.'.join(map(str, first['loc']))}: is unknown" + "".join(f", the nearest is {name}" for name in nearest)
-
-
-def nearest_keys(key: str, known: Sequence[str], count: int) -> list[str]:
-    """Those known keys that are spelt most like an unknown one, the nearest first."""
-    return get_close_matches(key, known, n=count, cutoff=0.0)
+    known = _keys(model, within)
+    nearest = get_close_matches(str(key), known, n=1)
+    hint = f"the nearest is {nearest[0]}" if nearest else f"known are {', '.join(known)}"
+    return f"{'.'.join(map(str, first['loc']))}: is unknown, {hint}"
 
 
 def _keys(model: type[BaseModel], within: Sequence[int | str]) -> list[str]:

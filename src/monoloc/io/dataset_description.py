@@ -5,13 +5,14 @@ from __future__ import annotations
 import glob
 import re
 import string
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from monoloc.camera import Camera
-from monoloc.config import nearest_keys, read_toml
+from monoloc.config import read_toml
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.geometry import FloatArray, is_rigid
@@ -98,7 +99,7 @@ class DatasetDescription:
         self._keys = read_toml(path)
         for key in self._keys:
             if key not in _EXAMPLES:
-                nearest = ", ".join(nearest_keys(key, list(_EXAMPLES), _NEAREST))
+                nearest = ", ".join(get_close_matches(key, _EXAMPLES, n=_NEAREST, cutoff=0.0))
                 fix = "correct its name, or leave it out"
                 raise DataError(path, f"{key} is unknown, the nearest are {nearest}", fix, "how-to/record-a-room")
             needed = _NEEDS.get(key)

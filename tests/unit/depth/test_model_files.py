@@ -71,7 +71,7 @@ def test_mistyped_name_lists_the_known_ones() -> None:
     [
         (lambda text: text.replace("mean", "meen"), "meen: is unknown, the nearest is mean"),
         (lambda text: text.replace("mean = ", "# "), "mean: is missing"),
-        (lambda text: text + "colour = 3\n", "colour: is unknown, the nearest is "),
+        (lambda text: text + "colour = 3\n", "colour: is unknown, known are "),
         (lambda text: text + "focal_px = 136\n", "focal_px: Give either width and height, or focal_px"),
         (lambda text: text.replace("width = 128\n", ""), "height: Width and height go together"),
         (

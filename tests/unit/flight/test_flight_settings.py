@@ -77,7 +77,7 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) 
         ("down = [0, 0, true]", "down.2: is true or false, not a number"),
         ("nort_deg = 3", "nort_deg: is unknown, the nearest is north_deg"),
         ("[mount]\npitch_deg = 91", "mount.pitch_deg: .*less than or equal to 90"),
-        ("[mount]\nup_m = 1", "mount.up_m: is unknown, the nearest is "),
+        ("[mount]\nup_m = 1", "mount.up_m: is unknown, known are forward_m, right_m, down_m, "),
         ("down = [0, 0]", "down.2: is missing"),
         ("down = [0, 0, 0.0]", "down: .*no direction"),
     ):

@@ -45,7 +45,7 @@ def test_pinhole_needs_six_numbers(tmp_path: Path) -> None:
         (("cx = 319.5", "cx = 9999.0"), "lies outside the 640x480 image"),
         (("distortion = []", "distortion = [1.0, 2.0]"), "distortion is .*give k1, k2, p1, p2, k3"),
         (("distortion = []", 'distortion_model = "swirl"'), "distortion_model: "),
-        (("distortion = []", "zoom = 2"), "zoom: is unknown, the nearest is .*; correct the field"),
+        (("distortion = []", "zoom = 2"), "zoom: is unknown, known are width, height, .*; correct the field"),
     ],
 )
 def test_file_of_no_camera_is_refused(tmp_path: Path, change: tuple[str, str], match: str) -> None:
