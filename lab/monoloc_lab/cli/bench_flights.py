@@ -70,8 +70,8 @@ def recovery(
         print_json(content)
     else:
         regions = {name: content.pop(name) for name in ("near", "away")}
-        print_table("monoloc bench recovery", ["", ""], [[name, _text(value)] for name, value in content.items()])
-        rows = [[name, *map(_text, figures.values())] for name, figures in regions.items()]
+        print_figures("monoloc bench recovery", content, json=False)
+        rows = [[name, *map(text_of, figures.values())] for name, figures in regions.items()]
         print_table(f"within and beyond {NEAR_M} m of the build's frames", ["", *regions["near"]], rows)
 
 
@@ -134,10 +134,6 @@ def _row(name: str, figures: FaultFigures, is_after: bool) -> list[str]:
         "-" if seconds is None else f"{seconds:.1f} s",
         "-" if part.coverage_95 is None else f"{100.0 * part.coverage_95:.0f} %",
     ]
-
-
-def _text(value: object) -> str:
-    return "-" if value is None else text_of(value)
 
 
 def fly(

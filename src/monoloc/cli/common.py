@@ -225,7 +225,12 @@ def print_figures(title: str, figures: Mapping[str, object], json: bool) -> None
     if json:
         print_json(figures)
     else:
-        print_table(title, ["", ""], [[name, text_of(value)] for name, value in figures.items()])
+        table = Table(show_header=False)
+        table.add_column()
+        table.add_column(overflow="fold")
+        for name, value in figures.items():
+            table.add_row(name, text_of(value))
+        _print_titled(title, table)
 
 
 def print_json(content: Mapping[str, object]) -> None:
@@ -241,13 +246,19 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
         table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")  # nothing is cut off
     for row in rows:
         table.add_row(*row)
+    _print_titled(title, table)
+
+
+def _print_titled(title: str, table: Table) -> None:
     console = PlainConsole()
     console.print(title, style="bold", soft_wrap=True)  # the table's own title would be wrapped to its width
     console.print(table)
 
 
 def text_of(value: object) -> str:
-    """Format a value: three decimals or digits, lists with commas, one line per entry of a dict."""
+    """Format a value: three decimals or digits, lists with commas, one line per entry of a dict; ``-`` for None."""
+    if value is None or isinstance(value, bool):
+        return "-" if value is None else "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.3f}" if abs(value) >= 0.1 else f"{value:.3g}"
     if isinstance(value, (list, tuple)):

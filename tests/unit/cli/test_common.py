@@ -14,6 +14,7 @@ from monoloc.cli.common import (
     naming,
     open_cloud,
     open_source,
+    print_figures,
     print_table,
     refuse_frames,
     text_of,
@@ -223,10 +224,11 @@ def test_tables_are_rounded_and_their_titles_are_not_wrapped_or_interpreted(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     title = "[a]:room: whose name is longer than the table below it is wide.monoloc"
-    print_table(title, ["", ""], [["down", text_of((1 / 3, -0.1234567, 0.0123456))]])
+    print_figures(title, {"down": (1 / 3, -0.1234567, 0.0123456), "scale_sd": None, "is_signed": False}, json=False)
     out = capfd.readouterr().out
     assert out.startswith(f"{title}\n")
-    assert "0.333, -0.123, 0.0123 " in out
+    assert "│ down      │ 0.333, -0.123, 0.0123 │" in out
+    assert "│ scale_sd  │ -  " in out and "│ is_signed │ no  " in out
 
 
 def test_words_of_a_wide_table_are_whole_in_80_columns(capfd: pytest.CaptureFixture[str]) -> None:
