@@ -78,6 +78,8 @@ def _check(members: list[zipfile.ZipInfo]) -> None:
         raise ValueError(f"it has {len(members)} arrays")
     if any(member.flag_bits & _ENCRYPTED for member in members):
         raise ValueError("it is encrypted")
+    if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
+        raise ValueError("it is compressed by a method that NumPy does not use")
     size = sum(member.file_size for member in members)
     if size > _MOST_BYTES:
         raise ValueError(f"its arrays would take {size >> 20} MB")
@@ -89,9 +91,10 @@ def _array(data: bytes) -> NDArray[Any]:
     header = np.lib.format.read_array_header_1_0 if is_first_version else np.lib.format.read_array_header_2_0
     try:
         shape, _, dtype = header(file)
-    except (SyntaxError, TokenError, RecursionError, MemoryError) as error:  # it is parsed as Python
+        if math.prod(shape) * dtype.itemsize > len(data) - file.tell():
+            raise ValueError("it is cut short")
+        file.seek(0)
+        return np.asarray(np.load(file, allow_pickle=False))
+    # It is parsed as Python.
+    except (SyntaxError, TypeError, TokenError, RecursionError, MemoryError) as error:
         raise ValueError("its header is damaged") from error
-    if math.prod(shape) * dtype.itemsize > len(data) - file.tell():
-        raise ValueError("it is cut short")
-    file.seek(0)
-    return np.asarray(np.load(file, allow_pickle=False))

@@ -35,7 +35,7 @@ from monoloc.bundle_manifest import (
 )
 from monoloc.bundle_manifest import CloudSize as CloudSize
 from monoloc.bundle_manifest import Provenance as Provenance
-from monoloc.bundle_signature import SIGNATURE, check_signature
+from monoloc.bundle_signature import SIGNATURE, read_public_key
 from monoloc.camera import Camera
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
@@ -229,22 +229,30 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
     Raises:
         BundleError: it is not a bundle, is cut short or edited, has an unknown schema or a network that
             :func:`monoloc.depth.network_check.check_network` refuses, or lacks the required signature.
-        DataError, MissingExtraError: as in :func:`monoloc.bundle_signature.check_signature`; only with a key.
+        DataError, MissingExtraError: as in :func:`monoloc.bundle_signature.read_public_key`; only with a key.
     """
     path = Path(path)
-    content = manifest_content(path)
-    try:
-        return _read(path, content, public_key)
-    except BundleError:
-        if manifest_content(path) == content:
-            raise
-    return read_bundle(path, public_key)  # another command has replaced it meanwhile
+    key = None if public_key is None else read_public_key(public_key)
+    while True:
+        content = manifest_content(path)
+        try:
+            if key is not None:
+                key.check(path, content)
+            return read_described(path, content)
+        except BundleError:
+            if manifest_content(path) == content:  # else, another command has replaced it meanwhile
+                raise
 
 
-def _read(path: Path, content: bytes, public_key: str | Path | None) -> Bundle:
-    """The bundle of a manifest."""
-    if public_key is not None:
-        check_signature(path, content, Path(public_key))
+def read_described(path: Path, content: bytes) -> Bundle:
+    """Read the bundle that a manifest describes, and check it byte for byte.
+
+    Args:
+        content: of the manifest, which may have been replaced since.
+
+    Raises:
+        BundleError: as :func:`read_bundle`, or the files are those of another manifest.
+    """
     manifest = parse_manifest(content, path / MANIFEST)
     contents = {name: _read_content(path / name, manifest) for name in _CONTENTS}
     check_network(contents[NETWORK], path / NETWORK, BundleError)
@@ -281,13 +289,16 @@ def _read(path: Path, content: bytes, public_key: str | Path | None) -> Bundle:
     )
 
 
-def check_bytes(path: Path) -> None:
+def check_bytes(path: Path, content: bytes) -> None:
     """Check a bundle byte for byte, one file after another, without interpreting the files.
+
+    Args:
+        content: of its manifest.
 
     Raises:
         BundleError: it is not a bundle, is cut short or edited, or has an unknown schema.
     """
-    manifest = parse_manifest(manifest_content(path), path / MANIFEST)
+    manifest = parse_manifest(content, path / MANIFEST)
     for name in (*_CONTENTS, *((_EDITS,) if manifest.edits else ())):
         _read_content(path / name, manifest)
 

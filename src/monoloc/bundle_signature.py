@@ -9,11 +9,16 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from monoloc.errors import BundleError, DataError
 from monoloc.extras import require_extra
 from monoloc.files import read_regular, write_whole
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 SIGNATURE = "manifest.sig"
 """Name of the signature in a bundle or a place."""
@@ -46,7 +51,7 @@ def make_keys(private: Path, public: Path) -> None:
         _write_secret(private, secret)
     except OSError as error:
         public.unlink()
-        fix = "name a file in a folder you can write to"
+        fix = "make room for it, or name a file in a folder you can write to"
         raise DataError(private, f"cannot be written ({error.strerror})", fix) from error
 
 
@@ -67,35 +72,55 @@ def signature_of(manifest: bytes, private_key: Path) -> bytes:
     return key.sign(manifest)
 
 
-def check_signature(bundle: Path, manifest: bytes, public_key: Path) -> None:
-    """Refuse a bundle, or a place, that the owner of a key has not signed as it is.
+@dataclass(frozen=True)
+class PublicKey:
+    """The key of who must have signed; kept by a flight, so that its file may go.
 
-    Args:
-        bundle: its folder, or that of a place.
-        manifest: of it, as it is used.
-        public_key: of the owner.
+    Attributes:
+        path: of the file that it was read from.
+    """
+
+    path: Path
+    _key: Ed25519PublicKey
+
+    def check(self, bundle: Path, manifest: bytes) -> None:
+        """Refuse a bundle, or a place, that the owner of the key has not signed as it is.
+
+        Args:
+            bundle: its folder, or that of a place.
+            manifest: of it, as it is used.
+
+        Raises:
+            BundleError: it is not signed, was changed since, or was signed with another key.
+        """
+        from cryptography.exceptions import InvalidSignature
+
+        try:
+            signature = read_regular(bundle / SIGNATURE, _SIGNATURE_BYTES)
+            self._key.verify(signature, manifest)
+        except FileNotFoundError as error:
+            raise BundleError(bundle, "is not signed", "ask who made it for a signed copy", _PAGE) from error
+        except (InvalidSignature, OSError, ValueError) as error:
+            problem = f"was changed, or signed with another key than that of {self.path}"
+            raise BundleError(bundle, problem, "copy it again from who signed it", _PAGE) from error
+
+
+def read_public_key(path: str | Path) -> PublicKey:
+    """Read the public key of who must have signed.
 
     Raises:
-        BundleError: it is not signed, was changed since, or was signed with another key.
         DataError: the file holds no public key.
         MissingExtraError: the extra ``sign`` is not installed.
     """
     require_extra("sign")
-    from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
 
-    key = _key(public_key, load_pem_public_key)
+    path = Path(path)
+    key = _key(path, load_pem_public_key)
     if not isinstance(key, Ed25519PublicKey):
-        raise DataError(public_key, "holds no Ed25519 public key", f"give NAME.pub, or {_MAKE_ONE}")
-    try:
-        signature = read_regular(bundle / SIGNATURE, _SIGNATURE_BYTES)
-        key.verify(signature, manifest)
-    except FileNotFoundError as error:
-        raise BundleError(bundle, "is not signed", "ask who made it for a signed copy", _PAGE) from error
-    except (InvalidSignature, OSError, ValueError) as error:
-        problem = f"was changed, or signed with another key than that of {public_key}"
-        raise BundleError(bundle, problem, "copy it again from who signed it", _PAGE) from error
+        raise DataError(path, "holds no Ed25519 public key", f"give NAME.pub, or {_MAKE_ONE}")
+    return PublicKey(path, key)
 
 
 def _key(path: Path, load: Callable[[bytes], object]) -> object:

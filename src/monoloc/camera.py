@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,7 +40,7 @@ class Camera:
             image, a principal point outside means that the intrinsics belong to another image size.
 
     Raises:
-        SettingError: a number is given as true or false, a size or focal length is not positive and finite, the
+        SettingError: a number is given as text, true or false, a size or focal length is not positive and finite, the
             principal point is outside, coefficients are not finite or not as many as the model has, or the distortion
             is not invertible over the image or sees more than 85 degrees off the optical axis.
     """
@@ -56,9 +57,12 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion"):
+            values = np.ravel(np.array(getattr(self, name), object))
             # Python's True is an int, which is 1.
-            if any(isinstance(value, bool | np.bool_) for value in np.ravel(np.array(getattr(self, name), object))):
+            if any(isinstance(value, bool | np.bool_) for value in values):
                 raise SettingError(f"camera.{name}", "is true or false, not a number", "give numbers")
+            if not all(isinstance(value, Real) and _fits_float(value) for value in values):
+                raise SettingError(f"camera.{name}", "is not a number, or not below 1e308", "give numbers")
         if self.width < 1 or self.height < 1:
             raise SettingError(
                 "camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels"
@@ -301,6 +305,11 @@ class Camera:
 
     def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self._lens.distort(x, y) if self.is_distorted else (x, y)
+
+
+def _fits_float(value: object) -> bool:
+    """Whether a number is not a whole one of so many digits that no float holds it."""
+    return not isinstance(value, int) or abs(value) < 2**1023
 
 
 def _is_inside(cx: float, cy: float, width: int, height: int) -> bool:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from monoloc.camera import Camera
 from monoloc.components import Components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import is_rigid
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.odometry.motion import Motion, Translation
 
+MOST_ELAPSED_S = 1e12
+"""Between two frames. A clock that is set from 1970 jumps by less, and nanoseconds read as seconds mostly do too."""
+
+_MOST_SD = 1e3  # metres or radians, of a motion
 _MOST_SPEED_M_S, _LEAST_MOVED_S = 50.0, 0.05  # of a camera, and the time up to which its stamps may be off
 
 
@@ -60,9 +65,28 @@ def checked_motion(motion: object, what: str) -> Motion:
         shapes = f"{np.shape(motion.points)} and {np.shape(motion.log_depth_sd)}"
         raise ValueError(f"{what} must have points (N, 3) and log_depth_sd (N,), got {shapes}")
     for sd in (motion.translation_sd_m, motion.rotation_sd_rad):
-        if sd is not None and not 0.0 < sd < np.inf:
-            raise ValueError(f"{what} must have positive and finite standard deviations, got {sd}")
+        if sd is not None and not 0.0 < sd <= _MOST_SD:
+            raise ValueError(f"{what} must have positive standard deviations, {_MOST_SD:g} at most, got {sd}")
     return motion
+
+
+def check_frame(camera: Camera, color: Any, elapsed_s: Any, measured_depth: object, measured_motion: object) -> None:
+    """Check what a localizer is given with a frame; arguments as :meth:`monoloc.localizer.Localizer.step`.
+
+    Raises:
+        ValueError, TypeError: as there.
+    """
+    shape = (camera.height, camera.width, 3)
+    if np.shape(color) != shape or not isinstance(color, np.ndarray) or color.dtype != np.uint8:
+        given = f"{np.shape(color)} {getattr(color, 'dtype', type(color).__name__)}"
+        raise ValueError(f"color must have the camera's shape {shape} as uint8, got {given}")
+    if measured_depth is not None:
+        checked_depth(measured_depth, "measured_depth")
+    time_s = np.asarray(elapsed_s)
+    if time_s.ndim or time_s.dtype.kind not in "fiu" or not 0.0 <= float(time_s) <= MOST_ELAPSED_S:
+        raise ValueError(f"elapsed_s must be a number from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s!r}")
+    if measured_motion is not None:
+        check_measured(checked_motion(measured_motion, "measured_motion"), float(time_s))
 
 
 def check_measured(motion: Motion, elapsed_s: float) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.component_checks import check_measured, checked_depth, checked_motion
+from monoloc.component_checks import check_frame, checked_depth, checked_motion
 from monoloc.components import Components
 from monoloc.contrast import has_contrast
 from monoloc.depth.predictor import DepthPrediction
@@ -29,9 +29,6 @@ from monoloc.step_budget import Stage, StepPlan
 
 DepthOfFrame = Callable[[], DepthPrediction | None]
 """The depth of a frame once it is known; None where it is not predicted."""
-
-MOST_ELAPSED_S = 1e12
-"""Between two frames. A clock that is set from 1970 jumps by less, and nanoseconds read as seconds mostly do too."""
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
 
@@ -144,20 +141,13 @@ class FrontEnd:
 
         Raises:
             ValueError: the image does not have the camera's size or type, time is no number, runs backwards or
-                jumps by more than :data:`MOST_ELAPSED_S`, or the motion does not state its noise or is faster than
-                50 m/s; nothing has changed then.
+                jumps by more than 1e12 s, or the motion does not state its noise or is faster than 50 m/s; nothing
+                has changed then.
             TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
             ValueError, TypeError: a component returns what its protocol does not allow.
         """
-        self._check_image(color)
-        if measured_depth is not None:
-            checked_depth(measured_depth, "measured_depth")
         elapsed_s = 0.0 if self._is_first else elapsed_s
-        is_number = np.ndim(elapsed_s) == 0 and np.asarray(elapsed_s).dtype.kind in "fiu"
-        if not (is_number and 0.0 <= elapsed_s <= MOST_ELAPSED_S):
-            raise ValueError(f"elapsed_s must be a number from 0 to {MOST_ELAPSED_S:g}, got {elapsed_s!r}")
-        if measured_motion is not None:
-            check_measured(checked_motion(measured_motion, "measured_motion"), elapsed_s)
+        check_frame(self._camera, color, elapsed_s, measured_depth, measured_motion)
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
         has_depth = plan is None or plan.has_depth
         is_predicted = measured_depth is None and has_depth
@@ -259,12 +249,6 @@ class FrontEnd:
         if not tracks_translation(measured) or np.linalg.norm(odometry_sd) <= np.linalg.norm(measured_sd):
             return odometry
         return replace(measured, inliers=odometry.inliers, points=odometry.points, log_depth_sd=odometry.log_depth_sd)
-
-    def _check_image(self, color: NDArray[np.uint8]) -> None:
-        shape = (self._camera.height, self._camera.width, 3)
-        if np.shape(color) != shape or not isinstance(color, np.ndarray) or color.dtype != np.uint8:
-            given = f"{np.shape(color)} {getattr(color, 'dtype', type(color).__name__)}"
-            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {given}")
 
     def _corrected(self, depth: DepthPrediction, motion: Motion | None) -> DepthPrediction:
         if motion is None or self._config.scale_tilt is None:

@@ -16,6 +16,9 @@ import monoloc._core as _core
 
 FloatArray = NDArray[np.float64]
 
+MAX_DISTANCE_M = 1e5
+"""Of a pose or a point from the origin of the world: single precision resolves 8 mm there."""
+
 TURN_WORTH_M = 1.0  # metres that change the view as much as one radian of rotation
 
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monoloc.geometry import FloatArray, is_rigid, make_pose, so3_exp
+from monoloc.geometry import MAX_DISTANCE_M, FloatArray, is_rigid, make_pose, so3_exp
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.particles import Particles, scatter
 
+_MOST_ERROR = 1e3  # metres or radians
 START_ERROR_M, START_ERROR_DEG = 0.10, 3.0
 """Default error of a start. Evaluation runs start this far from the truth, in a random direction."""
 
@@ -23,7 +24,7 @@ class Start:
         error_m, error_rad: root mean square of its distance and angle from the true pose.
 
     Raises:
-        ValueError: the pose is not rigid, or an error is negative or not finite.
+        ValueError: the pose is not rigid or more than 100 km from the origin, or an error is negative or over 1000.
     """
 
     pose: FloatArray
@@ -32,12 +33,15 @@ class Start:
 
     def __post_init__(self) -> None:
         shape = np.shape(self.pose)
-        if shape != (4, 4) or not bool(is_rigid(self.pose)):
+        is_real = np.asarray(self.pose).dtype.kind in "fiu"
+        if shape != (4, 4) or not (is_real and bool(is_rigid(self.pose))):
             got = "one that is not rigid or not finite" if shape == (4, 4) else f"shape {shape}"
             raise ValueError(f"pose must be a rigid (4, 4) T_world_camera, got {got}")
-        if not (0.0 <= self.error_m < np.inf and 0.0 <= self.error_rad < np.inf):
+        if np.abs(np.asarray(self.pose)[:3, 3]).max() > MAX_DISTANCE_M:
+            raise ValueError(f"pose must be within {MAX_DISTANCE_M:g} m of the origin; give metres")
+        if not (0.0 <= self.error_m <= _MOST_ERROR and 0.0 <= self.error_rad <= _MOST_ERROR):
             errors = f"{self.error_m} and {self.error_rad}"
-            raise ValueError(f"error_m and error_rad must be finite and not negative, got {errors}")
+            raise ValueError(f"error_m and error_rad must be from 0 to {_MOST_ERROR:g}, got {errors}")
 
     @classmethod
     def disturbed(

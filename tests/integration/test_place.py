@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -161,6 +162,20 @@ def test_a_lost_camera_is_found_although_another_room_cannot_be_read(
     fails[0] = False
     steps = [localizer.step(walk.color(FRAMES - 1), 0.4) for _ in range(10)]
     assert steps[-1].room == RIGHT and not localizer.unreadable
+
+
+def test_a_frame_that_is_none_is_refused_while_the_place_is_searched(place: Place, walk: RoomRecording) -> None:
+    """Time that is not a number would stay one: an unreadable room would be read at every frame."""
+    localizer = PlaceLocalizer(place, CAMERA)
+    localizer.step(walk.color(0), math.nan)  # ignored at the first frame
+    for elapsed_s in (math.nan, -5.0, 1e30):
+        with pytest.raises(ValueError, match="elapsed_s must be a number"):
+            localizer.step(walk.color(0), elapsed_s)
+    with pytest.raises(ValueError, match="color must have the camera's shape"):
+        localizer.step([1, 2], 0.1)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="down must be three finite numbers"):
+        localizer.step(walk.color(0), 0.1, down=np.array([math.nan, 0.0, 0.0]))
+    assert follow(localizer, walk, range(8))[-1].room == LEFT
 
 
 def test_frames_before_a_loss_do_not_count_for_a_door(

@@ -15,9 +15,9 @@ from monoloc import array_files
 from monoloc.array_files import decode_arrays, encode_arrays, read_arrays
 
 
-def archive(**members: bytes) -> bytes:
+def archive(method: int = zipfile.ZIP_DEFLATED, **members: bytes) -> bytes:
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+    with zipfile.ZipFile(buffer, "w", method) as file:
         for name, content in members.items():
             file.writestr(f"{name}.npy", content)
     return buffer.getvalue()
@@ -59,6 +59,8 @@ def test_arrays_of_the_same_values_are_the_same_bytes_whatever_their_order_in_me
         (archive(a=b"text"), "magic string"),
         (archive(a=promising("(1000000000000,)")), "cut short"),
         (archive(a=promising("(1,(")), "its header is damaged"),
+        (archive(a=promising("(1,), 1: 2")), "its header is damaged"),
+        (archive(zipfile.ZIP_LZMA, a=npy([1.0])), "a method that NumPy does not use"),
         (archive(a=promising("(" * 200 + ")" * 200)), "[Hh]eader"),
         (archive(a=npy(np.array([object()], dtype=object))), "allow_pickle"),
     ],

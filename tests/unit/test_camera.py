@@ -263,6 +263,9 @@ def test_depth_of_another_size_is_refused():
             r"distortion: has \(0.0, 0.0, 0.0, 0.1, 0.0, 0.0\) after k6, of a thin prism .*; calibrate with k1, .*",
         ),
         ({"fx": True}, "camera.fx: is true or false, not a number; give numbers"),
+        ({"width": "640"}, "camera.width: is not a number, or not below 1e308; give numbers"),
+        ({"cx": 10**400}, "camera.cx: is not a number, or not below 1e308"),
+        ({"distortion": (10**400, 0, 0, 0)}, "camera.distortion: is not a number"),
         ({"distortion": (0.1, np.True_, 0.0, 0.0)}, "camera.distortion: is true or false"),
         ({"distortion_model": "omni"}, r"distortion_model: is 'omni'; choose from brown, rational, fisheye"),
         (

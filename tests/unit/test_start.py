@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.geometry import se3_exp
+from monoloc.geometry import make_pose, se3_exp
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.start import Start, checked_start
 
@@ -36,6 +36,7 @@ def test_root_mean_square_distance_of_particles_is_the_error() -> None:
     [
         (np.diag([2.0, 2.0, 2.0, 1.0]), "one that is not rigid or not finite"),
         (np.full((4, 4), np.nan), "one that is not rigid or not finite"),
+        (np.eye(4, dtype=np.complex128), "one that is not rigid or not finite"),
         (np.eye(3), r"shape \(3, 3\)"),
     ],
 )
@@ -50,7 +51,12 @@ def test_start_that_is_no_start_is_refused(given: object) -> None:
         checked_start(given)
 
 
-@pytest.mark.parametrize("errors", [(-0.1, 0.1), (0.1, np.inf)])
-def test_error_that_is_negative_or_infinite_is_refused(errors: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="error_m and error_rad must be finite and not negative"):
+def test_pose_that_is_not_in_metres_is_refused() -> None:
+    with pytest.raises(ValueError, match="pose must be within 100000 m of the origin; give metres"):
+        Start(make_pose(np.eye(3), np.array([1e155, 0.0, 0.0])))
+
+
+@pytest.mark.parametrize("errors", [(-0.1, 0.1), (0.1, np.inf), (1e200, 0.1)])
+def test_error_that_is_negative_or_huge_is_refused(errors: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="error_m and error_rad must be from 0 to 1000"):
         Start(POSE, *errors)

@@ -19,6 +19,8 @@ from monoloc.odometry.external import ExternalOdometry
 from monoloc.odometry.gyroscope import Gyroscope
 from monoloc.odometry.motion import Motion, MotionSource, motions_between
 
+_MOST_DELAY_S = 60.0
+
 GyroscopeOption = Annotated[
     Path | None,
     typer.Option(
@@ -76,8 +78,8 @@ def measured_motions(
         raise SettingError("--mount", "is given without a sensor", "add --gyroscope or --odometry, or leave it out")
     if delay_s != 0.0 and odometry is None:
         raise SettingError("--odometry-delay", "is given without --odometry", "leave it out")
-    if not np.isfinite(delay_s):
-        raise SettingError("--odometry-delay", f"is {delay_s}", "give seconds")
+    if not abs(delay_s) <= _MOST_DELAY_S:
+        raise SettingError("--odometry-delay", f"is {delay_s:g}", f"give seconds, {_MOST_DELAY_S:g} at most")
     mounted = Mount() if mount is None else read_flight_file(mount).mount
     mounted = mounted.upright if quarter_turns else mounted
     T_body_camera = _T_FLU_FRD @ mounted.T_body_camera

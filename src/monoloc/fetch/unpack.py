@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import shutil
 import tarfile
 import zipfile
@@ -11,7 +12,7 @@ from pathlib import Path
 from monoloc.errors import DataError
 
 # RuntimeError: encrypted, compressed in an unknown way, or nested without end.
-_BROKEN = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, RuntimeError)
+_BROKEN = (zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, RuntimeError)
 
 
 def unpack(archive: Path, folder: Path) -> None:

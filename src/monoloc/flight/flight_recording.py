@@ -16,6 +16,7 @@ import contextlib
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from monoloc.camera import Camera
+from monoloc.component_checks import MOST_ELAPSED_S
 from monoloc.config import describe
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
@@ -30,7 +32,6 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.writer_thread import WriterThread
-from monoloc.front_end import MOST_ELAPSED_S
 from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.image_files import read_color
@@ -125,6 +126,9 @@ class RecordedRotation(BaseModel):
         return Motion.rotation(np.reshape(self.R_previous_current, (3, 3)), self.sd_rad)
 
 
+_TimeS = Annotated[float, Field(ge=-MOST_ELAPSED_S, le=MOST_ELAPSED_S)]
+
+
 class RecordedFrame(BaseModel):
     """A localised frame.
 
@@ -138,9 +142,9 @@ class RecordedFrame(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    captured_s: float
+    captured_s: _TimeS
     elapsed_s: float = Field(ge=0.0, le=MOST_ELAPSED_S)
-    done_s: float
+    done_s: _TimeS
     down_camera: tuple[float, float, float] | None
     start: RecordedStart | None = None
     rotation: RecordedRotation | None = None
@@ -168,7 +172,7 @@ class RecordedIdle(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    idle_s: float
+    idle_s: _TimeS
 
 
 _EVENT: TypeAdapter[RecordedFrame | RecordedIdle] = TypeAdapter(RecordedFrame | RecordedIdle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Protocol
 
 import numpy as np
@@ -90,7 +91,7 @@ class FlightSettings(BaseModel):
     @field_validator("down")
     @classmethod
     def _check_down(cls, down: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
-        if down is not None and np.linalg.norm(down) < _LEAST_LENGTH:
+        if down is not None and not _LEAST_LENGTH <= math.hypot(*down) < np.inf:
             raise ValueError("it has no direction")
         return down
 

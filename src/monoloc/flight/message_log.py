@@ -13,7 +13,7 @@ from monoloc.extras import require_extra
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.pose_sender import MessageSink
 from monoloc.flight.writer_thread import WriterThread
-from monoloc.mavlink.messages import COMPONENT, dialect
+from monoloc.mavlink.messages import COMPONENT, dialect, microseconds
 
 _MOST_MESSAGES = 10_000  # that wait for the disk, 3 MB, 100 s of flight; more are dropped
 
@@ -50,7 +50,7 @@ class MessageLog:
         self._encoder.seq = (self._encoder.seq + 1) % 256
         if self._failure is None:
             try:
-                self._hand_over(struct.pack(">Q", round(self._now_s * 1e6)) + data)
+                self._hand_over(struct.pack(">Q", microseconds(self._now_s)) + data)
             except DataError as error:
                 self._failure = error
 

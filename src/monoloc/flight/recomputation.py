@@ -9,6 +9,7 @@ from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightLocalizer, FlightOutput, FlightStep
 from monoloc.flight.flight_recording import FlightHeader, RecordedIdle, read_events
 from monoloc.flight.in_place import InPlace
+from monoloc.io.recorded_flight import FRAMES
 from monoloc.live.frame_source import LiveFrame
 
 
@@ -45,11 +46,15 @@ def recompute(
                 output.idle(event.idle_s)
             continue
         color, frame = event
-        if frame.start is not None:
-            localizer.reset(frame.start.start)
         motion = frame.motion
         level = frame.level if keeps_levels else None
-        step = localizer.step(color, frame.elapsed_s, down=frame.down, measured_motion=motion, level=level)
+        try:
+            if frame.start is not None:
+                localizer.reset(frame.start.start)
+            step = localizer.step(color, frame.elapsed_s, down=frame.down, measured_motion=motion, level=level)
+        except ValueError as error:  # as of a direction of gravity, in a room that has none
+            problem = f"is damaged in frame {count + 1} ({error})"
+            raise DataError(folder / FRAMES, problem, "give another flight") from error
         taken = LiveFrame(color, frame.captured_s, count)
         result = FlightStep(
             taken,

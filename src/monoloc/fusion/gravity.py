@@ -6,6 +6,7 @@ scan fits as well. So knowing the tilt corrects the position too.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,18 @@ def align_with_gravity(
     return replace(measured, pose=measured.pose @ make_pose(rotation, centre - rotation @ centre))
 
 
+def unit_direction(down_camera: FloatArray) -> FloatArray:
+    """The unit vector of an observed direction of gravity, (3,) of any length.
+
+    Raises:
+        ValueError: it is not a direction.
+    """
+    length = math.hypot(*down_camera) if np.shape(down_camera) == (3,) else 0.0
+    if not 0.0 < length < np.inf:
+        raise ValueError(f"down must be three finite numbers, not all zero, got {down_camera}")
+    return np.asarray(down_camera, dtype=np.float64) / length
+
+
 class Gravity:
     """Direction of gravity in a room.
 
@@ -83,10 +96,7 @@ class Gravity:
             return None
         if self._down_world is None:
             raise ValueError("down is given, but the room's surfaces do not tell its direction: leave it out")
-        length = float(np.linalg.norm(down_camera)) if np.shape(down_camera) == (3,) else 0.0
-        if not 0.0 < length < np.inf:
-            raise ValueError(f"down must be three finite numbers, not all zero, got {down_camera}")
-        return np.asarray(down_camera, dtype=np.float64) / length
+        return unit_direction(down_camera)
 
     def align(self, measured: Estimate, scan: Scan, down_camera: FloatArray | None, rotation_sd: float) -> Estimate:
         """As :func:`align_with_gravity`, or the pose as it is.

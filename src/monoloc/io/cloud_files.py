@@ -13,12 +13,11 @@ import numpy as np
 from monoloc.array_files import read_arrays
 from monoloc.errors import DataError
 from monoloc.files import read_regular
-from monoloc.geometry import FloatArray
+from monoloc.geometry import MAX_DISTANCE_M, FloatArray
 from monoloc.io.binary_reader import BinaryReader
 from monoloc.io.mesh_sampling import sample_triangles, triangles_of
 from monoloc.io.pcd import read_pcd
 from monoloc.io.ply import Column, read_ply
-from monoloc.io.pose_files import MAX_DISTANCE_M
 
 _AGAIN = "export the cloud again"
 # Errors that NumPy and the parsers below raise for files that are truncated or not clouds.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 import re
 import string
 from difflib import get_close_matches
@@ -16,7 +17,7 @@ from monoloc.config import read_toml
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.geometry import FloatArray, is_rigid
-from monoloc.io.file_access import require_access, require_file
+from monoloc.io.file_access import brief, finite_number, numbers_of, require_access, require_file
 from monoloc.io.reader_options import depth_scale_problem
 
 FILE_NAME = "dataset.toml"
@@ -65,6 +66,7 @@ _NEEDS = {
     "distortion_model": "distortion",
 }
 
+_MOST_APART_M = 1.0  # of two cameras on one rig
 _NEAREST = 3  # keys that an unknown one is compared with: "focal_x" has more letters of "scale_sd" than of "fx"
 _MOST_FRAMES = 1_000_000
 _INDEX_FORMAT = re.compile(r"0?\d{0,2}d?")  # a width of a hundred digits and more is no file name
@@ -127,12 +129,12 @@ class DatasetDescription:
 
     def number(self, key: str) -> float:
         value = self._value(key)
-        # TOML's true becomes Python's True, which is an int.
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise self.error(key, f"is {value!r}, not a number")
+        number = finite_number(value)
+        if number is None:
+            raise self.error(key, f"is {brief(value)}, not a number")
         if key == "depth_scale" and (problem := depth_scale_problem(value)) is not None:
             raise self.error(key, problem)
-        return float(value)
+        return number
 
     def positive(self, key: str) -> float:
         value = self.number(key)
@@ -220,12 +222,12 @@ class DatasetDescription:
         if not self.has("T_color_depth"):
             return np.eye(4)
         value = self._value("T_color_depth")
-        try:
-            matrix = np.array(value, dtype=np.float64)
-        except (ValueError, TypeError):
-            matrix = np.empty(0)
+        matrix = numbers_of(value)
         if matrix.shape != (4, 4) or not is_rigid(matrix):
-            raise self.error("T_color_depth", f"is {value!r}, not a rigid 4x4 matrix")
+            raise self.error("T_color_depth", f"is {brief(value)}, not a rigid 4x4 matrix")
+        apart_m = math.hypot(*matrix[:3, 3])
+        if apart_m > _MOST_APART_M:
+            raise self.error("T_color_depth", f"puts the cameras {apart_m:.3g} m apart; its unit is the metre")
         return matrix
 
     def down(self) -> FloatArray | None:
@@ -233,14 +235,11 @@ class DatasetDescription:
         if not self.has("down"):
             return None
         value = self._value("down")
-        try:
-            direction = np.array(value, dtype=np.float64)
-        except (ValueError, TypeError):
-            direction = np.empty(0)
-        length = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not 1e-6 < length < np.inf:
-            raise self.error("down", f"is {value!r}, not a direction")
-        return np.asarray(direction / length)
+        direction = numbers_of(value)
+        length = math.hypot(*direction) if direction.shape == (3,) else 0.0
+        if not 1e-6 < length < np.inf:
+            raise self.error("down", f"is {brief(value)}, not a direction")
+        return direction / length
 
     def _indices_of(self, key: str) -> list[int]:
         """Frame numbers of the files that match a pattern, in ascending order."""
@@ -279,17 +278,13 @@ class DatasetDescription:
             raise DataError(self.path, f"{field}: {error.problem}", error.fix) from error
 
     def _distortion(self, model: DistortionModel) -> tuple[float, ...]:
-        values, names = self._keys.get("distortion", []), COEFFICIENTS[model]
+        given, names = self._keys.get("distortion", []), COEFFICIENTS[model]
         counts = (0, len(names), len(names) - 1) if model == "brown" else (0, len(names))
-        if (
-            not isinstance(values, list)
-            or len(values) not in counts
-            or any(isinstance(value, bool) or not isinstance(value, int | float) for value in values)
-        ):
-            raise self.error(
-                "distortion", f"is {values!r}, not the {len(names)} numbers {', '.join(names)} of {model}"
-            )
-        return tuple(float(value) for value in values)
+        values = numbers_of(given)
+        if values.ndim != 1 or len(values) not in counts or (given != [] and not len(values)):
+            problem = f"is {brief(given)}, not the {len(names)} numbers {', '.join(names)} of {model}"
+            raise self.error("distortion", problem)
+        return tuple(values.tolist())
 
     def _value(self, key: str) -> Any:
         if key not in self._keys:

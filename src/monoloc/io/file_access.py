@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from monoloc.files import MOST_BYTES, read_regular
 from monoloc.geometry import FloatArray
 
 _MOST_TEXT_BYTES = 1 << 26
+_MOST_SHOWN = 80  # characters of a value in a message
 
 
 def require_folder(path: Path) -> None:
@@ -122,13 +122,36 @@ def decode_json(text: str, path: Path) -> dict[str, Any]:
     return content
 
 
+def finite_number(value: object) -> float | None:
+    """A number of TOML or JSON; None of anything else, such as NaN or a whole number beyond 1e308."""
+    number = numbers_of(value)
+    return float(number) if number.shape == () and np.isfinite(number) else None
+
+
+def numbers_of(value: object) -> FloatArray:
+    """Nested lists of TOML or JSON as an array; an empty one where not all are numbers, such as texts and true."""
+    content = np.array(value, dtype=object)
+    # TOML's and JSON's true becomes Python's True, which is an int.
+    if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in content.ravel()):
+        return np.empty(0)
+    try:
+        return content.astype(np.float64)
+    except OverflowError:
+        return np.empty(0)
+
+
 def json_number(content: dict[str, Any], key: str, path: Path) -> float:
     """A finite number of a JSON object; raise DataError if it is missing or something else."""
-    value = content.get(key)
-    # JSON's true becomes Python's True, which is an int.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise DataError(path, f"{key} is {value!r}, not a number", "export the recording again")
-    return float(value)
+    number = finite_number(content.get(key))
+    if number is None:
+        raise DataError(path, f"{key} is {brief(content.get(key))}, not a number", "export the recording again")
+    return number
+
+
+def brief(value: object) -> str:
+    """A value of a file for a message of one line."""
+    text = repr(value)
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
 
 
 def json_rows(content: dict[str, Any], key: str, columns: int, path: Path) -> FloatArray:
@@ -137,10 +160,7 @@ def json_rows(content: dict[str, Any], key: str, columns: int, path: Path) -> Fl
     Raises:
         DataError: the key is missing, or is not a list of lists of that many numbers.
     """
-    try:
-        rows = np.array(content.get(key), dtype=np.float64)
-    except (ValueError, TypeError):
-        rows = np.empty(0)
+    rows = numbers_of(content.get(key))
     if rows.ndim != 2 or rows.shape[1] != columns:
         raise DataError(path, f"{key} is not a list of {columns} numbers each", "export the recording again")
     return rows

@@ -42,9 +42,10 @@ from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.images import ImageRecording, names_of
 from monoloc.io.pose_files import OPENGL_AXES, checked_poses, read_matrix_pose, read_tum_with_gaps
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import LEAST_RATE_HZ, MOST_RATE_HZ
 from monoloc.io.registration import DepthRegistration
 
-_LEAST_RATE_HZ, _MOST_RATE_HZ = 1e-3, 1e4
+_LEAST_UNIT_M, _MOST_UNIT_M = 1e-6, 1e6
 _UNPOSED = "without a pose"
 
 
@@ -127,14 +128,15 @@ def _times_and_poses(
     """Time stamps (N,) and ``T_world_camera`` (N, 4, 4) of a sequence; leaves out frames without a pose."""
     if not description.has("poses"):
         return _times_by_rate(description, indices), None
+    unit_m = description.positive("pose_unit_m") if description.has("pose_unit_m") else 1.0
+    if not _LEAST_UNIT_M <= unit_m <= _MOST_UNIT_M:
+        raise description.error("pose_unit_m", f"is {unit_m:g}, the unit of no program")
     if "{" in description.text("poses"):
         times_s = _times_by_rate(description, indices)
-        known, poses = _poses_of_files(description, indices)
+        known, poses = _poses_of_files(description, indices, unit_m)
     else:
-        times_s, known, poses = _poses_of_one_file(description, indices)
+        times_s, known, poses = _poses_of_one_file(description, indices, unit_m)
     frames.require(known, _UNPOSED)
-    if description.has("pose_unit_m"):
-        poses[:, :3, 3] *= description.positive("pose_unit_m")
     if description.choice("pose_direction", "camera-to-world", "world-to-camera") == "world-to-camera":
         poses = invert(poses)
     if description.choice("pose_axes", "opencv", "opengl") == "opengl":
@@ -152,18 +154,18 @@ def _times_by_rate(description: DatasetDescription, indices: list[int]) -> Float
         )
     numbers = (np.array(indices, dtype=np.float64) - indices[0]) / description.step()
     rate_hz = description.positive("rate_hz")
-    if not _LEAST_RATE_HZ <= rate_hz <= _MOST_RATE_HZ:
+    if not LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ:
         raise description.error("rate_hz", f"is {rate_hz:g}, the rate of no camera")
     return np.asarray(numbers / rate_hz)
 
 
 def _poses_of_one_file(
-    description: DatasetDescription, indices: list[int]
+    description: DatasetDescription, indices: list[int], unit_m: float
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
     """Time stamps (N,), whether the pose is known (N,), and the poses (N, 4, 4)."""
     path = description.path.parent / description.text("poses")
     require_file(path, f"write it, or correct poses in {FILE_NAME}")
-    times_s, known, poses = read_tum_with_gaps(path)
+    times_s, known, poses = read_tum_with_gaps(path, unit_m)
     if len(poses) != len(indices):
         problem = f"has {len(poses)} poses for {len(indices)} frames"
         missing = description.paths("color", description.left_out(indices))
@@ -180,7 +182,9 @@ def _poses_of_one_file(
     return times_s, known, poses
 
 
-def _poses_of_files(description: DatasetDescription, indices: list[int]) -> tuple[NDArray[np.bool_], FloatArray]:
+def _poses_of_files(
+    description: DatasetDescription, indices: list[int], unit_m: float
+) -> tuple[NDArray[np.bool_], FloatArray]:
     """Whether each frame has a file with a finite pose (N,), and the poses (N, 4, 4)."""
     paths = description.paths("poses", indices)
     poses = np.tile(np.eye(4), (len(indices), 1, 1))
@@ -190,4 +194,5 @@ def _poses_of_files(description: DatasetDescription, indices: list[int]) -> tupl
             matrix = read_matrix_pose(path)
             known[position] = np.isfinite(matrix).all()
             poses[position] = matrix if known[position] else np.eye(4)
+    poses[:, :3, 3] *= unit_m
     return known, checked_poses(poses, paths, [path.stem for path in paths])

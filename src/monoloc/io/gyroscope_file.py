@@ -12,6 +12,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.pose_files import check_increasing
 
+_MOST_RAD_S = 70.0  # 4000 degrees a second, about the largest range of small gyroscopes
 _COLUMNS = ("t_s", "wx", "wy", "wz")
 
 
@@ -39,4 +40,9 @@ def read_gyroscope(path: Path) -> tuple[FloatArray, FloatArray]:
     finite = np.isfinite(samples).all(axis=1)
     if not finite.all():
         raise DataError(path, f"sample {int(np.argmin(finite)) + 1} is NaN or infinite", "remove this line")
+    is_fast = (np.abs(samples[:, 1:]) > _MOST_RAD_S).any(axis=1)
+    if is_fast.any():
+        row = int(np.argmax(is_fast))
+        fastest = np.abs(samples[row, 1:]).max()
+        raise DataError(path, f"sample {row + 1} turns by {fastest:.3g} rad/s", "write rad/s, not degrees")
     return samples[:, 0], samples[:, 1:]

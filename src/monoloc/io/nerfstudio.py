@@ -34,6 +34,7 @@ _PERSPECTIVE = ("OPENCV", "PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RA
 _FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 _INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
 _CENTRED = "cx and cy are not stated; the optical axis is taken to be in the centre of the image"
+_LEAST_SCALE = 1e-6
 _AGAIN = "run ns-process-data again"
 _NO_IMAGES = "copy the images to where it says, or correct file_path"
 
@@ -116,13 +117,13 @@ def _poses(content: dict[str, Any], entries: list[dict[str, Any]], path: Path) -
             raise DataError(path, f"transform_matrix of {name} has {len(rows)} rows", _AGAIN)
         matrix[: len(rows)] = rows
         matrices.append(matrix)
-    poses = checked_poses(np.stack(matrices), [path] * len(names), names) @ OPENGL_AXES
+    poses = np.stack(matrices)
     if "applied_scale" in content:
         scale = json_number(content, "applied_scale", path)
-        if scale <= 0.0:
-            raise DataError(path, f"applied_scale is {scale!r}, not positive", _AGAIN)
+        if not _LEAST_SCALE <= scale <= 1.0 / _LEAST_SCALE:
+            raise DataError(path, f"applied_scale is {scale!r}, that of no program", _AGAIN)
         poses[:, :3, 3] /= scale
-    return poses
+    return checked_poses(poses, [path] * len(names), names) @ OPENGL_AXES
 
 
 def _completed(content: dict[str, Any], image: Path, path: Path) -> tuple[dict[str, Any], bool]:

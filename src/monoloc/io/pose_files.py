@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from monoloc.array_files import decode_array
 from monoloc.errors import DataError
 from monoloc.geometry import (
+    MAX_DISTANCE_M,
     FloatArray,
     invert,
     is_rigid,
@@ -37,7 +38,7 @@ DOWN_OF_ARKIT = np.array([0.0, -1.0, 0.0])
 MAX_POSE_GAP_S = 0.25
 MAX_POSE_OFFSET_S = 0.02  # a pose this near is that of the image, without interpolation
 
-MAX_DISTANCE_M = 1e5  # from the origin; single precision resolves 8 mm there
+_LATEST_S = 1e10  # of a time stamp: milliseconds since 1970 are more, and ROS has no later nanoseconds
 
 UNTIMED_RATE_HZ = 5.0
 UNTIMED = Remark(f"the files state no times; frames are taken to be {1.0 / UNTIMED_RATE_HZ:g} s apart")
@@ -135,8 +136,11 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     return rows[:, 0], poses_from_quaternions(rows[:, 4:], rows[:, 1:4], path)
 
 
-def read_tum_with_gaps(path: Path) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+def read_tum_with_gaps(path: Path, unit_m: float = 1.0) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
     """Read a TUM trajectory of which some lines have a time stamp and no pose (NaN or infinity).
+
+    Args:
+        unit_m: of its positions.
 
     Returns:
         Increasing time stamps (N,) in seconds, whether the pose is known (N,), and the poses (N, 4, 4), the identity
@@ -149,11 +153,16 @@ def read_tum_with_gaps(path: Path) -> tuple[FloatArray, NDArray[np.bool_], Float
     check_increasing(rows[:, 0], path)
     known = np.asarray(np.isfinite(rows[:, 1:]).all(axis=1), dtype=np.bool_)
     rows[~known, 1:] = np.eye(7)[6]
-    return rows[:, 0], known, poses_from_quaternions(rows[:, 4:], rows[:, 1:4], path)
+    return rows[:, 0], known, poses_from_quaternions(rows[:, 4:], unit_m * rows[:, 1:4], path)
 
 
 def check_increasing(times_s: FloatArray, path: Path) -> None:
-    """Raise DataError unless the time stamps (N,) are finite and strictly increasing."""
+    """Raise DataError unless the time stamps (N,) are finite, strictly increasing and seconds."""
+    is_late = np.abs(times_s) > _LATEST_S
+    if is_late.any():
+        row = int(np.argmax(is_late))
+        problem = f"the time stamp of entry {row + 1} is {times_s[row]:.3g} s"
+        raise DataError(path, problem, "write seconds, not milliseconds or nanoseconds")
     increases = np.diff(times_s, prepend=-np.inf) > 0.0
     if not (np.isfinite(times_s).all() and increases.all()):
         row = int(np.argmin(np.isfinite(times_s) & increases)) + 1

@@ -12,6 +12,7 @@ Only depth of the highest confidence is used, for the reason in :mod:`monoloc.io
 from __future__ import annotations
 
 import importlib
+import lzma
 import zipfile
 import zlib
 from pathlib import Path
@@ -23,14 +24,14 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.errors import DataError, MissingExtraError
 from monoloc.geometry import FloatArray
-from monoloc.io.file_access import decode_json, json_number, json_rows, read_bytes, require_file
+from monoloc.io.file_access import decode_json, json_number, json_rows, numbers_of, read_bytes, require_file
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.image_files import decode_color, fit_depth, metric_depth
 from monoloc.io.image_resampling import Resampler
 from monoloc.io.pose_files import OPENGL_AXES, check_increasing, poses_from_quaternions
 from monoloc.io.reader_options import ReaderOptions
-from monoloc.io.recording import Remark
+from monoloc.io.recording import LEAST_RATE_HZ, MOST_RATE_HZ, Remark
 from monoloc.io.stray_scanner import HIGH_CONFIDENCE, NO_CONFIDENCE
 
 _METADATA = "metadata"
@@ -175,7 +176,7 @@ class _Archive:
             with zipfile.ZipFile(self.path) as file:
                 return file.read(stored)
         # RuntimeError: encrypted, or compressed by a method that this Python lacks.
-        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError) as error:
+        except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, RuntimeError) as error:
             raise DataError(self.path / member, "cannot be unpacked", "copy the .r3d file again") from error
 
 
@@ -204,13 +205,10 @@ def _times(metadata: dict[str, Any], count: int, path: Path) -> FloatArray:
     """Time stamps (N,) seconds; early versions state a frame rate only."""
     if metadata.get("frameTimestamps") is None:
         rate_hz = json_number(metadata, "fps", path)
-        if rate_hz <= 0.0:
-            raise DataError(path, f"fps is {rate_hz!r}", _AGAIN)
+        if not LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ:
+            raise DataError(path, f"fps is {rate_hz!r}, the rate of no camera", _AGAIN)
         return np.asarray(np.arange(count) / rate_hz)
-    try:
-        times_s = np.array(metadata["frameTimestamps"], dtype=np.float64)
-    except (ValueError, TypeError):
-        times_s = np.empty(0)
+    times_s = numbers_of(metadata["frameTimestamps"])
     if times_s.shape != (count,):
         raise DataError(path, f"frameTimestamps are not the {count} numbers of its poses", _AGAIN)
     return times_s

@@ -6,7 +6,6 @@ A recorded flight has no poses: what a flight believed is no reference.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.errors import DataError, SettingError
 from monoloc.files import read_regular
-from monoloc.io.file_access import read_json, require_file, require_folder
+from monoloc.io.file_access import finite_number, read_json, require_file, require_folder
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.images import ImageRecording, names_of
 from monoloc.io.pose_files import check_increasing
@@ -90,9 +89,7 @@ def _content(line: bytes) -> dict[str, Any] | None:
         return None
     if not isinstance(content, dict):
         return None
-    time_s = content.get(_TIME, content.get(_IDLE))
-    is_time = isinstance(time_s, int | float) and not isinstance(time_s, bool) and math.isfinite(time_s)
-    return content if is_time else None
+    return None if finite_number(content.get(_TIME, content.get(_IDLE))) is None else content
 
 
 def recognises(path: Path) -> bool:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, is_rigid
 
+LEAST_RATE_HZ, MOST_RATE_HZ = 1e-3, 1e4  # of a camera
+
 # Simulates an image under different lighting: (H, W, 3) uint8 RGB -> the same.
 Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 

@@ -19,8 +19,8 @@ from monoloc.errors import SettingError
 BITS_PER_BYTE = 10
 """Of a serial port, with a start and a stop bit."""
 
-_NETWORK = re.compile(r"(udpout|udpin|tcp):\[?([^\[\]]+?)\]?:(\d{1,5})")
-_SERIAL = re.compile(r"serial:(.+):(\d+)")
+_NETWORK = re.compile(r"(udpout|udpin|tcp):\[?([^\[\]]+?)\]?:([0-9]{1,5})")
+_SERIAL = re.compile(r"serial:(.+):([0-9]{1,8})")
 _MOST_PORT = 65535
 _BYTES = 1 << 16  # of one read
 _CONNECT_S = 2.0

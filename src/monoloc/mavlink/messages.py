@@ -51,7 +51,7 @@ def odometry(captured_s: float, pose: BodyPose, quality: int, reset_counter: int
     x, y, z = pose.T_ned_body[:3, 3].tolist()
     nan = float("nan")
     return dialect().MAVLink_odometry_message(
-        time_usec=_microseconds(captured_s),
+        time_usec=microseconds(captured_s),
         frame_id=firmware.pose_frame,
         child_frame_id=BODY_FRD,
         x=x,
@@ -77,7 +77,7 @@ def vision_position_estimate(captured_s: float, pose: BodyPose, reset_counter: i
     x, y, z = pose.T_ned_body[:3, 3].tolist()
     roll, pitch, yaw = pose.euler_rad.tolist()
     return dialect().MAVLink_vision_position_estimate_message(
-        usec=_microseconds(captured_s),
+        usec=microseconds(captured_s),
         x=x,
         y=y,
         z=z,
@@ -98,7 +98,7 @@ def obstacle_distance(captured_s: float, distances_cm: NDArray[np.uint16], least
         least_m, most_m: range of what is measured.
     """
     return dialect().MAVLink_obstacle_distance_message(
-        time_usec=_microseconds(captured_s),
+        time_usec=microseconds(captured_s),
         sensor_type=_UNKNOWN_SENSOR,
         distances=distances_cm.tolist(),
         increment=360 // len(distances_cm),
@@ -133,8 +133,9 @@ def parameter_request(name: str, system: int) -> Any:
     return dialect().MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode("ascii"), -1)
 
 
-def _microseconds(time_s: float) -> int:
-    return round(time_s * 1e6)
+def microseconds(time_s: float) -> int:
+    """Of a time stamp in seconds; messages know none before 0, which a recording may have."""
+    return max(0, round(time_s * 1e6))
 
 
 def _quaternion_wxyz(pose: BodyPose) -> list[float]:

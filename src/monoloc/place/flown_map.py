@@ -140,7 +140,7 @@ def open_map(path: Path, public_key: Path | None = None) -> FlownMap:
     Raises:
         BundleError: a bundle is none, damaged, changed, missing from the place, or not signed with the key.
         DataError: a place is damaged, or has a room that no doors join to the first, or the key is none.
-        MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
+        MissingExtraError: as :func:`monoloc.bundle_signature.read_public_key`, with a key only.
     """
     if not is_place(path):
         room = read_bundle(path, public_key)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays, encode_arrays
-from monoloc.bundle import Bundle, check_bytes, digest_of, read_bundle
+from monoloc.bundle import Bundle, check_bytes, digest_of, read_bundle, read_described
 from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST, container_of, manifest_content
-from monoloc.bundle_signature import SIGNATURE, check_signature
+from monoloc.bundle_signature import SIGNATURE, PublicKey, read_public_key
 from monoloc.errors import BundleError, DataError, SettingError
 from monoloc.files import read_regular, target_of
 from monoloc.geometry import FloatArray
@@ -47,7 +47,7 @@ class Place:
     path: Path
     manifest: PlaceManifest
     descriptors: tuple[NDArray[np.uint8], ...]
-    public_key: Path | None = None
+    public_key: PublicKey | None = None
 
     @property
     def names(self) -> list[str]:
@@ -68,7 +68,7 @@ class Place:
                 made of.
         """
         entry = next(each for each in self.manifest.rooms if each.name == room)
-        return read_bundle(_checked_bundle(self.path, entry, None), self.public_key)
+        return read_described(*_checked_bundle(self.path, entry, self.public_key))
 
     def T_other_room(self, other: str, room: str) -> FloatArray | None:
         """``T_other_room``, (4, 4), from the world of a room to that of another; None where no doors lead there."""
@@ -119,7 +119,7 @@ def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = No
     Raises:
         BundleError: one is no bundle, or not signed with the key.
         DataError: one has too few landmarks, which tell rooms apart, or the key is none.
-        MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
+        MissingExtraError: as :func:`monoloc.bundle_signature.read_public_key`, with a key only.
         SettingError: two have the same name or the same content, or one has a name that is none of a room.
     """
     rooms: dict[str, RoomEntry] = {}
@@ -142,7 +142,7 @@ def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = No
     manifest = PlaceManifest(
         monoloc_version=__version__, rooms=tuple(rooms.values()), index_sha256=hashlib.sha256(content).hexdigest()
     )
-    return Place(path, manifest, tuple(descriptors), public_key)
+    return Place(path, manifest, tuple(descriptors), None if public_key is None else read_public_key(public_key))
 
 
 def _name_of(bundle: Path) -> str:
@@ -218,20 +218,21 @@ def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: b
     Raises:
         BundleError: a bundle is missing, damaged or changed, or a bundle or the place is not signed with the key.
         DataError: not a place, damaged, or of an unknown schema, or the key is none.
-        MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
+        MissingExtraError: as :func:`monoloc.bundle_signature.read_public_key`, with a key only.
     """
     path = Path(path)
     content = place_content(path)
     manifest = parse_place(content, path / PLACE_MANIFEST)
+    key = None if public_key is None else read_public_key(public_key)
     for room in manifest.rooms:
-        check_bytes(_checked_bundle(path, room, public_key))
-    if public_key is not None and not is_edited:
-        check_signature(path, content, public_key)
-    return Place(path, manifest, _read_index(path / PLACE_INDEX, manifest), public_key)
+        check_bytes(*_checked_bundle(path, room, key))
+    if key is not None and not is_edited:
+        key.check(path, content)
+    return Place(path, manifest, _read_index(path / PLACE_INDEX, manifest), key)
 
 
-def _checked_bundle(path: Path, room: RoomEntry, public_key: Path | None) -> Path:
-    """Where a room's bundle lies, whose manifest is there, unchanged, and signed if there is a key.
+def _checked_bundle(path: Path, room: RoomEntry, key: PublicKey | None) -> tuple[Path, bytes]:
+    """Where a room's bundle lies, and its manifest, which is the place's and signed if there is a key.
 
     Its other files are not looked at. The place itself need not be written yet.
     """
@@ -244,9 +245,9 @@ def _checked_bundle(path: Path, room: RoomEntry, public_key: Path | None) -> Pat
     if hashlib.sha256(content).hexdigest() != room.sha256:
         fix = f"put the old one back, or {_AGAIN}"
         raise BundleError(bundle, f"is not the bundle that room {room.name} was made of", fix)
-    if public_key is not None:
-        check_signature(bundle, content, public_key)
-    return bundle
+    if key is not None:
+        key.check(bundle, content)
+    return bundle, content
 
 
 def _packed(descriptors: Sequence[NDArray[np.uint8]]) -> bytes:

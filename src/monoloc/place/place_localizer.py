@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
+from monoloc.component_checks import check_frame
 from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.errors import BundleError
+from monoloc.fusion.gravity import unit_direction
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.features import KeypointDetector, Keypoints
 from monoloc.localizer import Localizer
@@ -121,7 +123,7 @@ class PlaceLocalizer:
         self._rooms = LoadedRooms(place, camera, budget_ms, threads)
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
-        self._hand_over = HandOver()
+        self._hand_over, self._is_first = HandOver(), True
         self._candidate: str | None = None  # that a search found last
         self._since_candidate_s = 0.0
         self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
@@ -161,11 +163,13 @@ class PlaceLocalizer:
         be localised twice, in both rooms at the same level.
 
         Raises:
-            ValueError: as :meth:`monoloc.localizer.Localizer.step`.
+            ValueError, TypeError: as :meth:`monoloc.localizer.Localizer.step`.
         """
-        shape = (self._camera.height, self._camera.width, 3)
-        if color.shape != shape or color.dtype != np.uint8:
-            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
+        elapsed_s = 0.0 if self._is_first else elapsed_s
+        check_frame(self._camera, color, elapsed_s, measured_depth, measured_motion)
+        if down is not None:
+            unit_direction(down)  # of which a room is not told while there is none
+        self._is_first = False
         self._since_candidate_s += elapsed_s
         self._rooms.pass_time(elapsed_s)
         frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
@@ -65,7 +66,7 @@ class Marker(BaseModel):
     @field_validator("quaternion")
     @classmethod
     def _is_unit(cls, quaternion: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if quaternion is not None and abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
+        if quaternion is not None and abs(math.hypot(*quaternion) - 1.0) > 1e-3:
             raise ValueError("give x, y, z, w of length 1")
         return quaternion
 

@@ -128,7 +128,7 @@ class IntegrityModel(BaseModel):
     landmarks: Classes = Classes()
     unseen_share: float = Field(0.5, gt=0.0, lt=1.0)
     scan_search_precision: float = Field(0.2, gt=0.0, lt=1.0)
-    focal_mean: float = 0.0
+    focal_mean: float = Field(0.0, ge=-10.0, le=10.0)
     focal_sd: float = Field(1.0, gt=0.0)
     familiar_found: float = Field(0.0, ge=0.0, lt=1.0)
     strange_found: float = Field(0.5, gt=0.0, lt=1.0)

@@ -136,6 +136,7 @@ def test_pairs_need_depth(folder: Path) -> None:
         ("fx", '"30"', "is '30', not a number"),
         ("fx", "nan", "is nan, not a number"),
         ("fx", "true", "is True, not a number"),
+        ("fx", "1" + "0" * 400, "0..., not a number"),
         ("depth_scale", "0", "is 0, not from 1e-06 to 1e+09"),
         ("depth_scale", "1e-300", "is 1e-300, not from 1e-06 to 1e+09"),
         ("distortion", "[0.1, 0.2]", "not the 5 numbers k1, k2, p1, p2, k3 of brown"),
@@ -442,6 +443,10 @@ def test_lenses(folder: Path, model: str, values: list[float]) -> None:
         (DEPTH_CAMERA.replace("depth_fx = 50.0", "depth_fx = -1.0"), "depth camera fx/fy", "is .-1.0, 50.0."),
         (DEPTH_CAMERA + "T_color_depth = [[1, 0], [0, 1]]", "T_color_depth", "not a rigid 4x4 matrix"),
         (DEPTH_CAMERA + 'T_color_depth = "near"', "T_color_depth", "not a rigid 4x4 matrix"),
+        (DEPTH_CAMERA + T_COLOR_DEPTH.replace("[1,", '["1",'), "T_color_depth", "not a rigid 4x4 matrix"),
+        (DEPTH_CAMERA + T_COLOR_DEPTH.replace("0.1", "25"), "T_color_depth", "puts the cameras 25 m apart; its unit"),
+        ("pose_unit_m = 1e-300", "pose_unit_m", "is 1e-300, the unit of no program"),
+        ("down = [true, false, false]", "down", "is .*, not a direction"),
     ],
 )
 def test_keys_that_do_not_fit_are_refused(folder: Path, line: str, key: str, problem: str) -> None:

@@ -31,6 +31,7 @@ def test_samples_are_read_by_the_names_of_their_columns(tmp_path: Path) -> None:
         ("t_s,wx,wy,wz\n0,0,0,fast\n", "line 2 is no sample", "remove this line"),
         ("t_s,wx,wy,wz\n0,0,0," + "0" * 200_000, "is no sample", "remove this line"),
         ("t_s,wx,wy,wz\n0,0,0,0\n1,0,inf,0\n", "sample 2 is NaN or infinite", "remove this line"),
+        ("t_s,wx,wy,wz\n0,0,0,0\n1,0,0,-120\n", "sample 2 turns by 120 rad/s", "not degrees"),
         ("t_s,wx,wy,wz\n1,0,0,0\n0,0,0,0\n", "time stamp of entry 2 does not increase", "sort"),
     ],
 )

@@ -131,10 +131,11 @@ def test_lens(tmp_path: Path, capture: Capture, changes: dict[str, Any], model: 
         ({"frames": []}, "has no list of frames", "ns-process-data"),
         ({"frames": [{"transform_matrix": 3}]}, "entry 0 of frames has no file_path", "ns-process-data"),
         ({"fl_x": "wide"}, "fl_x is 'wide', not a number", "export"),
+        ({"fl_x": 10**400}, r"fl_x is 10+\.\.\., not a number", "export"),
         ({"fl_y": -2.0}, "camera.fx/fy: is", "positive"),
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model is 'EQUIRECTANGULAR'", "colmap image_undistorter"),
         ({"k4": 0.1}, "k4 is 0.1 in a model without it", "colmap image_undistorter"),
-        ({"applied_scale": 0}, "applied_scale is 0.0, not positive", "ns-process-data"),
+        ({"applied_scale": 0}, "applied_scale is 0.0, that of no program", "ns-process-data"),
     ],
 )
 def test_malformed_transforms_are_refused(
@@ -148,6 +149,8 @@ def test_malformed_transforms_are_refused(
     ("matrix", "problem"),
     [
         (None, "transform_matrix is not a list of 4 numbers each"),
+        ([[10**400, 0, 0, 0]], "transform_matrix is not a list of 4 numbers each"),
+        ([["1", 0, 0, 0]], "transform_matrix is not a list of 4 numbers each"),
         ([[1, 0, 0, 0]], "transform_matrix of images/frame_5.jpg has 1 rows"),
         ([[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]], "the pose of images/frame_5.jpg is not rigid"),
         ([[1, 0, 0, float("nan")], [0, 1, 0, 0], [0, 0, 1, 0]], "the pose of images/frame_5.jpg is NaN"),

@@ -27,6 +27,12 @@ def test_trajectory_whose_time_does_not_increase_is_refused(tmp_path: Path, time
     refuses_data(lambda: read_tum(path), path, "the time stamp of entry 2 does not increase", "by time")
 
 
+def test_trajectory_with_times_in_nanoseconds_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "trajectory.txt"
+    path.write_text("1.7e18 0 0 0 0 0 0 1\n")
+    refuses_data(lambda: read_tum(path), path, r"the time stamp of entry 1 is 1\.7e\+18 s", "write seconds")
+
+
 @pytest.mark.parametrize(
     ("row", "problem", "fix"),
     [

@@ -28,6 +28,7 @@ from monoloc.mavlink.messages import dialect, heartbeat, obstacle_distance, stat
 
 mavutil = pytest.importorskip("pymavlink.mavutil")
 SOON_S = 5.0
+LONG_BAUD = "serial:/dev/ttyAMA0:" + "9" * 5000
 
 
 class Peer:
@@ -469,7 +470,7 @@ def test_what_is_queued_is_sent_before_the_end(peer: Peer) -> None:
     link.send(heartbeat())  # goes nowhere, and harms nothing
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:14550", "udp:", "serial:/dev/ttyAMA0", "udpout:host:port"])
+@pytest.mark.parametrize("url", ["127.0.0.1:14550", "udp:", "serial:/dev/ttyAMA0", "udpout:host:port", LONG_BAUD])
 def test_address_that_is_none_is_refused(url: str) -> None:
     with pytest.raises(SettingError, match="write udpout:HOST:PORT"):
         AutopilotLink(url)

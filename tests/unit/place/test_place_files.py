@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from cli_helpers import refused, succeeds
-from monoloc.bundle import read_bundle, write_bundle
-from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST
-from monoloc.errors import SettingError
+from monoloc.bundle import Bundle, read_bundle, write_bundle
+from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST, manifest_content
+from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
+from monoloc.errors import BundleError, SettingError
 from monoloc.geometry import se3_exp
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.place import place_files
 from monoloc.place.place_files import Place, check_place_target, make_place, read_place, write_place
-from monoloc.place.place_manifest import Door
+from monoloc.place.place_manifest import Door, place_content
 from refusals import refuses, refuses_data, refuses_setting
 from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
 
@@ -137,6 +139,39 @@ def test_bundles_that_are_gone_or_changed_are_refused(here: Path) -> None:
     refuses_data(lambda: place.read_room("kitchen"), bundle, "is not the bundle", "put the old one back")
     shutil.rmtree(bundle)
     refuses_data(lambda: read_place(place.path), bundle, "the bundle of room kitchen is missing", "put it back")
+
+
+def test_a_bundle_that_is_replaced_while_its_room_is_read_is_refused(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would be flown with the doors of another world."""
+    place = a_place(here)
+    bundle, read = here / "kitchen.monoloc", place_files.read_described
+
+    def replaced(path: Path, content: bytes) -> Bundle:
+        write_bundle(path, replace(read_bundle(path), landmarks=landmarks(99)))
+        return read(path, content)
+
+    monkeypatch.setattr(place_files, "read_described", replaced)
+    with pytest.raises(BundleError, match="is not what was written"):
+        place.read_room("kitchen")
+    assert bundle.is_dir()
+
+
+def test_rooms_are_read_in_flight_although_the_file_of_the_key_has_gone(here: Path) -> None:
+    make_keys(here / "team.key", here / "team.pub")
+    made = a_place(here)
+    for name in NAMES:
+        bundle = here / f"{name}.monoloc"
+        (bundle / SIGNATURE).write_bytes(signature_of(manifest_content(bundle), here / "team.key"))
+    write_place(made)
+    (made.path / SIGNATURE).write_bytes(signature_of(place_content(made.path), here / "team.key"))
+    place = read_place(made.path, here / "team.pub")
+    (here / "team.pub").unlink()
+    assert len(place.read_room("kitchen").landmarks) == 60
+    (here / "kitchen.monoloc" / SIGNATURE).unlink()
+    with pytest.raises(BundleError, match="is not signed"):
+        place.read_room("kitchen")
 
 
 @pytest.mark.parametrize("file", ["map.npz", "landmarks.npz", "depth.onnx"])
