@@ -182,7 +182,10 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
 
     Raises:
         BundleError: as in :func:`check_target`, or the disk cannot hold it.
+        TypeError: path and bundle are given in the other order, or the bundle is none.
     """
+    if not isinstance(bundle, Bundle):
+        raise TypeError(f"bundle must be a bundle, after its path, got {type(bundle).__name__}")
     path = Path(path)
     check_target(path)
     contents = {

@@ -32,7 +32,8 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
     except ValidationError as error:
         field, _ = _first_problem(error)
         fix = "correct the field named" if field else "correct it"
-        raise DataError(path, _unknown_key(error, model) or describe(error), fix) from error
+        unknown = _unknown_key(error, model)
+        raise DataError(path, ": ".join(unknown) if unknown else describe(error), fix) from error
     if (name := _truth_for_a_number(content, settings)) is not None:
         raise DataError(path, f"{name}: {_NO_NUMBER}", "correct the field named")
     return settings
@@ -73,8 +74,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise DataError(path, f"is not valid TOML ({error})", "correct the line named") from error
 
 
-def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
-    """The first unknown field with the known one that is spelt alike, or with all known ones.
+def _unknown_key(error: ValidationError, model: type[BaseModel]) -> tuple[str, str] | None:
+    """The first unknown field, and what is: the known one that is spelt alike, or all known ones.
 
     A field that is missing is often this one, misspelt.
     """
@@ -85,7 +86,7 @@ def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
     known = _keys(model, within)
     nearest = get_close_matches(str(key), known, n=1)
     hint = f"the nearest is {nearest[0]}" if nearest else f"known are {', '.join(known)}"
-    return f"{'.'.join(map(str, first['loc']))}: is unknown, {hint}"
+    return ".".join(map(str, first["loc"])), f"is unknown, {hint}"
 
 
 def _keys(model: type[BaseModel], within: Sequence[int | str]) -> list[str]:
@@ -150,6 +151,8 @@ def override(settings: Settings, **values: object) -> Settings:
     try:
         changed = type(settings).model_validate(merged)
     except ValidationError as error:
+        if (unknown := _unknown_key(error, type(settings))) is not None:
+            raise SettingError(*unknown, "correct its name") from error
         field, problem = _first_problem(error)
         raise SettingError(field or "settings", problem, "correct its value") from error
     if (name := _truth_for_a_number(merged, changed)) is not None:

@@ -115,6 +115,11 @@ TABLE, MCAP, TRAJECTORY = ".csv", ".mcap", (".txt", ".tum")
 SUFFIXES = (*TRAJECTORY, TABLE, MCAP)
 
 
+def is_without_lost(path: Path) -> bool:
+    """Whether a trajectory's format has no place for frames that are lost."""
+    return path.suffix.lower() in TRAJECTORY
+
+
 def check_trajectory(path: Path) -> None:
     """Reject an ``--out`` that has no suffix of a trajectory, or that cannot be written, before long work starts.
 

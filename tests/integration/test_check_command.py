@@ -146,7 +146,7 @@ def test_unusable_arguments_are_refused(here: Path, capfd: pytest.CaptureFixture
         (("flight", "--fix-depth", "sideways"), "--fix-depth: ", "is 'sideways'", "choose one of range"),
         (("room.monoloc",), "SOURCE: ", "is missing after the bundle", "give the recording"),
         (("flight", "room.monoloc"), "SOURCE: ", "is a bundle", "monoloc check room.monoloc flight"),
-        (("flight", "--plot", "check.jpg"), "--plot: ", "is a PNG by another name", "name it"),
+        (("flight", "--plot", "check.jpg"), "--plot: ", "would be a PNG by another name", "name it"),
     ):
         refused(capfd, here, ("check", *arguments), names, problem, fix)
 

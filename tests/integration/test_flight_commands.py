@@ -401,7 +401,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         (
             ("fly", "room.monoloc", "flight", "--mcap", "a.bag"),
             "--mcap",
-            "a.bag is MCAP by another name",
+            "a.bag would be MCAP by another name",
             "NAME.mcap",
         ),
         (("fly", "room.monoloc", "flight", "--mcap", "x/y.mcap"), "--mcap", "does not exist", "make the folder"),
@@ -414,7 +414,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
             "lies in the folder of --record",
             "another place",
         ),
-        (("replay", "log", "--out", "poses.txt"), "--out", "poses.txt is a table by another name", "NAME.csv"),
+        (("replay", "log", "--out", "poses.txt"), "--out", "poses.txt would be a table by another name", "NAME.csv"),
         (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),
         (("replay", "flight"), "flight", "is no recorded flight", "monoloc fly --record"),
         (("replay", "log", "--room", "flight"), "flight", "is not a bundle", "monoloc build"),
@@ -434,8 +434,8 @@ def test_wrong_arguments_are_refused(
     ("field", "value", "problem", "fix"),
     [
         ("out", "x/y.csv", "x does not exist", "make the folder"),
-        ("out", "poses.txt", "is a table by another name", "NAME.csv"),
-        ("mcap", "flight", "is MCAP by another name", "NAME.mcap"),
+        ("out", "poses.txt", "would be a table by another name", "NAME.csv"),
+        ("mcap", "flight", "would be MCAP by another name", "NAME.mcap"),
         ("record", "poses.csv", "is a file", "name a folder"),
         ("camera", "640,480", "is '640,480'", "a .toml of monoloc calibrate"),
         ("start", "1,2", "is '1,2'", "TX,TY,TZ"),

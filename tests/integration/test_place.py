@@ -335,6 +335,6 @@ def test_commands_refuse_what_they_cannot_do(
     refused(capfd, tmp_path, both, "--same-world", "no meaning with a walk", "give one")
     refused(capfd, tmp_path, ("place", "door", "all.place", LEFT, LEFT, "door"), "ROOM", "twice", "two rooms")
     wrong = ("place", "localize", "all.place", walk, "--out", "walk.txt")
-    refused(capfd, tmp_path, wrong, "--out", "is a table by another name", "NAME.csv")
+    refused(capfd, tmp_path, wrong, "--out", "would be a table by another name", "NAME.csv")
     wrong = ("place", "localize", "all.place", walk, "--truth-room", "cellar")
     refused(capfd, tmp_path, wrong, "--truth-room", "is no room", "name one of")

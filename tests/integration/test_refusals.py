@@ -181,7 +181,7 @@ def with_trajectory(here: Path) -> None:
         (nothing, (*LOCALIZE, "--particles", "3"), "--particles", "greater than or equal to 10", "correct its value"),
         (nothing, (*LOCALIZE, "--start", "here"), "--start", "is 'here'", "TX,TY,TZ"),
         (nothing, (*LOCALIZE[:6], "a.json"), "--out", "a.json has no suffix of a trajectory", "choose from .txt"),
-        (nothing, (*LOCALIZE[:-1], "plot.pdf"), "--plot", "plot.pdf is a PNG by another name", "NAME.png"),
+        (nothing, (*LOCALIZE[:-1], "plot.pdf"), "--plot", "plot.pdf would be a PNG by another name", "NAME.png"),
         (
             nothing,
             (*LOCALIZE[:-1], "room.monoloc/a.png"),
@@ -204,19 +204,25 @@ def with_trajectory(here: Path) -> None:
         # Maps.
         (without_depth, ("map", "fit", "flight", "--out", "m.npz"), "flight", "has no depth", "cloud"),
         (nothing, ("map", "fit", "flight", "--out", "no/m.npz"), "--out", "no does not exist", "make the folder"),
-        (nothing, ("map", "fit", "flight", "--out", "m.txt"), "--out", "m.txt is a map by another name", "NAME.npz"),
+        (
+            nothing,
+            ("map", "fit", "flight", "--out", "m.txt"),
+            "--out",
+            "m.txt would be a map by another name",
+            "NAME.npz",
+        ),
         (
             nothing,
             ("calibrate", "camera", "x", "--out", "c.txt"),
             "--out",
-            "is a camera file by another",
+            "would be a camera file by another",
             "NAME.toml",
         ),
         (
             nothing,
             ("reconstruct", "flight", "--out", "walk", "--camera-out", "c.txt"),
             "--camera-out",
-            "is a camera file by another name",
+            "would be a camera file by another name",
             "NAME.toml",
         ),
         (
@@ -226,7 +232,13 @@ def with_trajectory(here: Path) -> None:
             "has no meaning for pictures and videos",
             "leave it out",
         ),
-        (nothing, ("calibrate", "board", "--out", "board.png"), "--out", "is a PDF by another name", "NAME.pdf"),
+        (
+            nothing,
+            ("calibrate", "board", "--out", "board.png"),
+            "--out",
+            "would be a PDF by another name",
+            "NAME.pdf",
+        ),
         (
             nothing,
             ("map", "fit", "a.xyz", "--out", "m.npz", "--frames", "::2"),

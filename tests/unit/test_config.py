@@ -62,6 +62,14 @@ def test_value_out_of_range_is_refused(
     )
 
 
+def test_misspelt_field_is_refused_with_the_one_that_it_may_mean() -> None:
+    refuses(
+        lambda: override(LocalizerConfig(), particels=200),
+        SettingError,
+        "^particels: is unknown, the nearest is particles; correct its name$",
+    )
+
+
 def test_override_replaces_only_given_fields() -> None:
     changed = override(BuildConfig(components=25), components=None, adapt={"tune": "last", "lambda_kl": None})
     assert changed.components == 25 and changed.adapt.tune == "last"

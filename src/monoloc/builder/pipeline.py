@@ -53,6 +53,7 @@ def build_bundle(
     Args:
         recording: posed frames; with depth, unless ``cloud`` is given.
         cloud: (N, 3) world frame, metres; None makes it from the recording.
+        progress: shows the stages, which take minutes, such as :class:`monoloc.progress.ConsoleProgress`.
         network: as :func:`monoloc.bundle.read_network` takes it; one of another origin, or a bundle's, cannot be
             tuned.
 
@@ -62,7 +63,13 @@ def build_bundle(
         SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
         ValueError: as :func:`monoloc.io.recording.check_arrays`, or the cloud is not (N, 3) and finite.
+        TypeError: the recording is a path, or none.
     """
+    if not isinstance(recording, Recording):
+        raise TypeError(
+            f"recording must be a recording, as monoloc.io.registry.open_recording(SOURCE) gives it, "
+            f"got {type(recording).__name__}"
+        )
     started = time.perf_counter()
     start_network = checked_network(recording, config, network)
     chosen = KeptDepth(choose_frames(recording, config.most_frames, progress))

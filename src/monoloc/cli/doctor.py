@@ -107,6 +107,7 @@ def doctor(
         flown.has_landmarks(),
         flight.mount.roll_deg,
         flight.most_age_s,
+        _faster(flight),
     )
     with naming(names), ExitStack() as opened:
         # The link first: it is looked at even where the camera fails.
@@ -131,6 +132,13 @@ def doctor(
     if json:
         print_json(content)
     return EXIT_CODES[level]
+
+
+def _faster(flight: FlightFile) -> str:
+    """What would make a step faster, of what the flight does not do already."""
+    if flight.threads != 2:
+        return "set threads = 2, then budget_ms"
+    return "set budget_ms" if flight.budget_ms is None else "lower budget_ms, or the camera's rate"
 
 
 def _look(

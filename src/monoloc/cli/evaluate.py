@@ -69,7 +69,9 @@ def evaluate(
         fix = "check that both use the same clock: fly stamps by its own, and by a recording's with --fast"
         if frames != "::":
             fix += "; and that --frames chooses frames of this trajectory"
-        raise DataError(trajectory, f"has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's", fix)
+        times_of, true_of = (f"{each[0]:.1f} to {each[-1]:.1f} s" for each in (times, true_times))
+        problem = f"of {times_of}, has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's, of {true_of}"
+        raise DataError(trajectory, problem, fix)
     estimated, true = poses[matched], true_poses[partner[matched]]
     metrics: dict[str, object] = {
         "frames": int(matched.sum()),

@@ -121,4 +121,4 @@ def report(
         say(f"not written, since the disk was too slow: {unwritten}")
     if link is not None:
         messages = ", ".join(f"{count} {what}" for what, count in sorted(link.counts.items()))
-        say(f"autopilot: {messages or 'no messages'}")
+        say(f"messages of the link to the autopilot: {messages or 'none'}")

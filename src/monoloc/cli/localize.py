@@ -28,6 +28,7 @@ from monoloc.cli.common import (
     ThreadsOption,
     ViewOption,
     naming,
+    note,
     open_source,
     print_json,
     print_table,
@@ -66,7 +67,7 @@ from monoloc.sensor_depth import sensor_bundle
 from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc.step_budget import budget_line
 from monoloc.supervision.state import State
-from monoloc.trajectory_output import WritingViewer, check_trajectory, trajectory_output
+from monoloc.trajectory_output import WritingViewer, check_trajectory, is_without_lost, trajectory_output
 from monoloc.version import commit
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.run_drawing import DrawnRun
@@ -200,6 +201,8 @@ def localize_command(
     else:
         show(metrics)
         say_written(*written)
+    if out is not None and out in written and is_without_lost(out) and (lost := run.states.count("lost")):
+        note(out, f"leaves out {lost} of {len(run.poses)} frames, which are lost; a .csv has all")
     for doubt in doubts_of(run, metrics, room):
         warn(recording.name, doubt)
     if failures:

@@ -90,7 +90,7 @@ def check_suffix(path: Path | None, option: str, suffix: str, kind: str) -> None
         SettingError: the path has another suffix; the error names the option.
     """
     if path is not None and path.suffix.lower() != suffix:
-        raise SettingError(option, f"{path} is {kind} by another name", f"name it NAME{suffix}")
+        raise SettingError(option, f"{path} would be {kind} by another name", f"name it NAME{suffix}")
 
 
 def check_picture(path: Path | None, option: str) -> None:

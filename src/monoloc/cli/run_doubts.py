@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from monoloc.bundle import Bundle
+from monoloc.evaluation.consistency import consistency
 from monoloc.run import Run
 from monoloc.supervision.state import Reason
 
@@ -21,7 +22,7 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
     frames = len(run.poses)
     has_landmarks = len(room.landmarks) > 0 and "landmarks" not in run.config.without
     if has_landmarks and frames > 1 and not run.landmark_used.any():  # a search for the first frame does not count
-        yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE shows whether it is another room"
+        yield f"no frame shows landmarks of this room; {_why_no_landmarks(run, room)}"
     mismatches = sum(Reason.CAMERA_MISMATCH in reasons for reasons in run.reasons)
     if mismatches >= _MISMATCH_SHARE * frames:
         problem = f"in {mismatches} of {frames} frames, landmarks fit another lens than the camera's"
@@ -34,4 +35,23 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
     coverage = metrics.get("coverage_95")
     if isinstance(coverage, float) and coverage < _LEAST_COVERAGE:
         problem = f"{coverage:.0%} of the errors lie within the stated 95 % ellipsoid"
-        yield f"{problem}; do not use these poses, unless the recording's own are of another world than the bundle's"
+        yield f"{problem}; {_what_to_use(run)}"
+
+
+def _why_no_landmarks(run: Run, room: Bundle) -> str:
+    asks = "monoloc check BUNDLE SOURCE shows whether it is another room"
+    if run.start is not None:
+        asks = f"leave out --start, and the room is searched; if that finds nothing, {asks}"
+    return f"{asks}; monoloc map edit BUNDLE log shows what was edited" if room.edits else asks
+
+
+def _what_to_use(run: Run) -> str:
+    """Which poses of a run with a poor coverage can be used."""
+    first = run.states.index("tracking") if "tracking" in run.states else 0
+    if run.start is not None and first and run.truth is not None:
+        later = consistency(run.poses[first:], run.truth[first:], run.covariances[first:])
+        if later.coverage_95 >= _LEAST_COVERAGE:
+            share = f"from frame {first} on, where the camera was found, it is {later.coverage_95:.0%}"
+            return f"{share}: --start was wrong, and the poses before are not to be used"
+    wrong_start = "" if run.start is None else "leave out --start if it may be wrong, and "
+    return f"{wrong_start}do not use these poses, unless the recording's own are of another world than the bundle's"

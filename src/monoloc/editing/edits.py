@@ -32,6 +32,7 @@ from monoloc.map.local_fit import Components, Region, fitted, part
 _SHOWN = 4000  # points of the map that tell which part of a view has changed
 _VIEWS = 300  # reference poses that are looked from; others lie between them
 _LEAST_POINTS = 10  # of a cloud that is added
+_LEAST_LEFT = 0.5  # of a map; if a removal leaves less, its box may be a wrong one
 # Times as many points as at twice the map's spacing: four of a surface, two of a wire. At this, a surface has a third
 # of its points; obstacles begin at a quarter.
 _LEAST_THINNED = 1.5
@@ -57,7 +58,7 @@ def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.
     if not len(change.gone) and not inside.any():
         raise _empty(box, bundle)
     edited = replace(edited, landmarks=bundle.landmarks.select(~inside))
-    return finish(bundle, edited, "remove", parameters, change, rng)
+    return finish(bundle, edited, "remove", parameters, change, rng, **_much_removed(bundle, edited))
 
 
 def without_surfaces(bundle: Bundle, region: Region, rng: np.random.Generator) -> tuple[Bundle, Change]:
@@ -175,6 +176,18 @@ def _check_near(bundle: Bundle, points: FloatArray, field: str) -> None:
     if beyond_m > _MOST_BEYOND_M:
         problem = f"puts something {beyond_m:.4g} m beyond the map"
         raise SettingError(field, problem, "are these millimetres? give metres, in the map's world")
+
+
+def _much_removed(before: Bundle, after: Bundle) -> dict[str, list[str]]:
+    """A warning, if most of the map was removed: the box may be a wrong one."""
+    counts = (
+        (len(before.landmarks), len(after.landmarks), "landmarks"),
+        (len(before.adapted), len(after.adapted), "components"),
+    )
+    lost = [f"{1.0 - left / had:.0%} of the {what}" for had, left, what in counts if left < _LEAST_LEFT * had]
+    if not lost:
+        return {}
+    return {"warnings": [f"{' and '.join(lost)} lay in the box; if it was a wrong one, undo"]}
 
 
 def _sparseness(cloud: FloatArray, voxel_m: float) -> str | None:

@@ -34,7 +34,6 @@ _GOOD_LANDMARKS = 20
 _LEAST_VIEWS = 3  # whose landmarks tell the focal length, before they speak for it
 _POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
 _MOST_LOAD = 0.8  # of a serial port
-_FASTER = "set threads = 2, then budget_ms"
 _GOOD_TILT_DEG = 3.0  # between the body by mount and by the autopilot
 _EVERY = 3  # of the frames whose image is measured
 
@@ -78,6 +77,7 @@ class Preflight:
         has_landmarks: whether the map has any.
         roll_deg: of the camera's mount, as the user states it; 0 where it is not stated.
         most_age_s: of the flight, beyond which a pose is not sent.
+        faster: what would make a step faster.
     """
 
     def __init__(
@@ -88,7 +88,9 @@ class Preflight:
         has_landmarks: bool,
         roll_deg: float,
         most_age_s: float,
+        faster: str,
     ) -> None:
+        self._faster = faster
         self._provenance, self._tells_gravity, self._scale_sd = provenance, tells_gravity, scale_sd
         self._has_landmarks = has_landmarks
         self._roll_deg, self._most_age_s = roll_deg, most_age_s
@@ -140,7 +142,7 @@ class Preflight:
         else:
             images = self._images()
             found = [
-                *_of_timing(summary, self._most_age_s, None if link is None else link.firmware),
+                *_of_timing(summary, self._most_age_s, None if link is None else link.firmware, self._faster),
                 *self._of_pauses(is_for_autopilot=link is not None),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
                 *light_findings(images, self._brightness),
@@ -238,21 +240,23 @@ def _without_frames(summary: FlightSummary) -> Finding:
     return Finding("camera", "bad", "no frame", "check the cable, and the source that was named")
 
 
-def _of_timing(summary: FlightSummary, most_age_s: float, firmware: Firmware | None) -> Iterator[Finding]:
+def _of_timing(
+    summary: FlightSummary, most_age_s: float, firmware: Firmware | None, faster: str
+) -> Iterator[Finding]:
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
         level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or firmware is None else "bad"
         level = "good" if rate_hz >= _GOOD_RATE_HZ else level
         is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
         asked = "" if firmware is None else f"; {firmware.title} asks for {firmware.asked_rate}"
-        fix = f"the source gives no more{asked}" if is_slow_camera else _FASTER
+        fix = f"the source gives no more{asked}" if is_slow_camera else faster
         remark = "" if level == "good" else fix
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning"
         level = level if p95_s <= most_age_s else "bad"
         too_old = "" if p95_s <= most_age_s else f"; poses older than most_age_s, {most_age_s:g} s, are not sent"
-        remark = "" if level == "good" else f"where the computer is slow, {_FASTER}{too_old}"
+        remark = "" if level == "good" else f"where the computer is slow, {faster}{too_old}"
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
 
 

@@ -128,16 +128,16 @@ def _unrecognised(path: Path) -> DataError:
         return DataError(path, "is an empty folder", "give the folder that holds the recording")
     fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}, or describe its images in a dataset.toml"
     nearby = _recording_near(path)
-    if _IMAGES.intersection(suffixes):
-        fix = "describe its images in a dataset.toml"
-    elif nearby is not None:
+    if nearby is not None:
         fix = f"give a recording, such as {nearby}"
+    elif _IMAGES.intersection(suffixes):
+        fix = "describe its images in a dataset.toml"
     return DataError(path, "is not recognised as a recording", fix, page="how-to/record-a-room")
 
 
 def _recording_near(path: Path) -> Path | None:
-    """What is recognised in a folder, as where an archive was unpacked, or the folder of a capture's file."""
-    candidates = sorted(path.iterdir()) if path.is_dir() else [path.parent]
+    """What is recognised in a folder, as where an archive was unpacked, or the folder that holds a file or images."""
+    candidates = [*(sorted(path.iterdir()) if path.is_dir() else []), path.absolute().parent]
     return next((each for each in candidates if any(known.recognises(each) for known in FORMATS.values())), None)
 
 

@@ -204,7 +204,7 @@ def test_picture_must_be_named_as_one_and_needs_matplotlib(monkeypatch: pytest.M
         refuses_setting(
             lambda name=name: check_picture(Path(name), "--plot"),
             "--plot",
-            f"{re.escape(name)} is a PNG by another name",
+            f"{re.escape(name)} would be a PNG by another name",
             "NAME.png",
         )
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -213,7 +213,7 @@ def test_picture_must_be_named_as_one_and_needs_matplotlib(monkeypatch: pytest.M
 
 
 def test_recording_for_the_viewer_must_be_named_as_one() -> None:
-    problem = "flight9 is a recording of Rerun by another name"
+    problem = "flight9 would be a recording of Rerun by another name"
     refuses_setting(lambda: check_viewing(view=False, record=Path("flight9")), "--record", problem, "NAME.rrd")
 
 

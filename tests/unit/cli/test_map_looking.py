@@ -159,7 +159,7 @@ def test_voxels_and_grid_are_in_the_frame_that_ros_shows(capfd: pytest.CaptureFi
     ("command", "names", "problem", "fix"),
     [
         (("map", "info", "no.npz"), "no.npz", "there is no such file", "map fit"),
-        ((*RENDER[:3], "--out", "a.pdf"), "--out", "a.pdf is a PNG by another name", "NAME.png"),
+        ((*RENDER[:3], "--out", "a.pdf"), "--out", "a.pdf would be a PNG by another name", "NAME.png"),
         ((*RENDER, "--beside", "no"), "no", "is not a bundle", "monoloc build"),
         ((*RENDER, "--pose", "1,2"), "--pose", "is '1,2'", "write TX,TY,TZ,QX,QY,QZ,QW in metres"),
         ((*RENDER, "--pose", "90,90,90,0,0,0,1"), "--pose", "shows nothing of the map", "--reference 0"),

@@ -10,6 +10,7 @@ import pytest
 
 from monoloc.bundle import Bundle
 from monoloc.cli.run_doubts import doubts_of
+from monoloc.edit_record import Edit, EditRecord
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.progress import NoProgress
 from monoloc.run import Run, localize
@@ -44,7 +45,13 @@ def test_good_run_is_not_doubted(room: Bundle, run: Run) -> None:
 
 def test_landmarks_that_no_frame_shows_speak_for_another_room(room: Bundle, run: Run) -> None:
     (doubt,) = doubts(run, replace(room, landmarks=SOME))
+    assert doubt.startswith("no frame shows landmarks of this room; leave out --start, and the room is searched; if")
+    searched = replace(run, start=None)
+    (doubt,) = doubts(searched, replace(room, landmarks=SOME))
     assert doubt.startswith("no frame shows landmarks of this room; monoloc check")
+    record = EditRecord(time="2026-01-02T03:04:05+00:00", kind="remove", parameters={}, changes={})
+    (doubt,) = doubts(searched, replace(room, landmarks=SOME, edits=(Edit(record, b""),)))
+    assert doubt.endswith("another room; monoloc map edit BUNDLE log shows what was edited")
     left_out = replace(run, config=run.config.model_copy(update={"without": ("landmarks",)}))
     assert list(doubts(left_out, replace(room, landmarks=SOME))) == []
 
@@ -63,7 +70,18 @@ def test_what_stands_still_in_the_images_is_said(room: Bundle, run: Run) -> None
 
 def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
     (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances), room)
-    assert doubt.startswith("0% of the errors lie within the stated 95 % ellipsoid; do not use these poses,")
+    problem = "0% of the errors lie within the stated 95 % ellipsoid"
+    assert doubt.startswith(f"{problem}; leave out --start if it may be wrong, and do not use these poses,")
+    (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances, start=None), room)
+    assert doubt.startswith(f"{problem}; do not use these poses,")
+
+
+def test_a_start_that_was_wrong_until_the_camera_was_found_is_said(room: Bundle, run: Run) -> None:
+    narrow = np.array([1e-12, 1e-12, 1e-12, 1.0])[:, None, None]
+    late = replace(run, covariances=narrow * run.covariances, states=["uncertain"] * 3 + ["tracking"])
+    (doubt,) = doubts(late, room)
+    found = "from frame 3 on, where the camera was found, it is 100%: --start was wrong"
+    assert doubt.startswith(f"25% of the errors lie within the stated 95 % ellipsoid; {found}")
 
 
 def test_frames_that_are_far_off_while_tracking_are_counted(room: Bundle, run: Run) -> None:

@@ -157,6 +157,16 @@ def test_box_that_holds_landmarks_alone_is_emptied() -> None:
     assert len(edited.landmarks) == len(points) - 7 and edited.original is room.original
 
 
+def test_box_around_most_of_the_room_is_warned_of() -> None:
+    """It may have been a wrong one, such as one in another unit."""
+    room = mapped_room()
+    upper = np.array([np.quantile(room.landmarks.points[:, 0], 0.8), 50.0, 50.0])
+    most = Box.between(np.full(3, -50.0), upper, DOWN)
+    (warning,) = remove(room, most, {}, rng()).edits[-1].record.changes["warnings"]
+    assert "of the landmarks" in warning and warning.endswith("lay in the box; if it was a wrong one, undo")
+    assert "warnings" not in remove(room, CUBE, {}, rng()).edits[-1].record.changes
+
+
 def test_box_around_everything_is_refused() -> None:
     everything = Box.between(np.full(3, -50.0), np.full(3, 50.0), DOWN)
     refuses_setting(lambda: remove(mapped_room(), everything, {}, rng()), "box", "the whole map", "smaller")

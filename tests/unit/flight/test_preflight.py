@@ -27,6 +27,7 @@ FITS = MountErrors(tilt_deg=1.0, pitch_deg=0.5, roll_deg=0.8, yaw_deg=4.0)
 HEARD = LinkReport(Firmware.PX4, Firmware.PX4, True, 50.0, 0.004, PARAMETERS, FlightSettings(), 92160.0, FITS)
 
 
+FASTER = "set threads = 2, then budget_ms"
 BUILD = Provenance(
     recording="room", frames={}, tune="all", map_transform=True, lambda_kl=0.1, seed=0, brightness=(128.0, 15.0)
 )
@@ -56,7 +57,7 @@ def findings_of(
     speed_m_s: float = 0.3,
 ) -> dict[str, Finding]:
     """Findings by name after 60 equal frames of a camera that moves, and ``late`` ones that were dropped."""
-    preflight = Preflight(build, tells_gravity, build.scale_sd or 0.0, has_landmarks, roll_deg, most_age_s)
+    preflight = Preflight(build, tells_gravity, build.scale_sd or 0.0, has_landmarks, roll_deg, most_age_s, FASTER)
     summary = FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
@@ -173,7 +174,7 @@ def test_why_no_frame_was_localised_is_named(reason: str, name: str, words: str)
     summary = FlightSummary()
     summary.dropped[reason] += 40
     summary.dropped["old"] += reason == "without start"
-    finding = Preflight(BUILD, True, 0.0, True, 0.0, 0.2).findings(summary, None)[0]
+    finding = Preflight(BUILD, True, 0.0, True, 0.0, 0.2, FASTER).findings(summary, None)[0]
     assert (finding.name, finding.level, finding.value) == (name, "bad", words)
 
 
@@ -189,7 +190,7 @@ def test_parameters_of_another_firmware_are_not_asked_for() -> None:
     ],
 )
 def test_proposed_gravity_says_when_it_holds(down_world: tuple[float, float, float], end: str) -> None:
-    preflight = Preflight(built(down_world=down_world), False, 0.0, True, 0.0, 0.2)
+    preflight = Preflight(built(down_world=down_world), False, 0.0, True, 0.0, 0.2, FASTER)
     (gravity,) = (each for each in preflight.findings(FlightSummary(), None) if each.name == "gravity")
     assert gravity.remark.endswith(end)
 
@@ -209,7 +210,7 @@ def test_scale_that_a_sensor_or_a_marker_measured_needs_no_word() -> None:
         (0, None, "the source gives no more"),
         (0, Firmware.PX4, "the source gives no more; PX4 asks for 30"),
         (0, Firmware.ARDUPILOT, "the source gives no more; ArduPilot asks for 4 or more"),
-        (9, None, "set threads = 2, then budget_ms"),
+        (9, None, FASTER),
     ],
 )
 def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmware | None, fix: str) -> None:
@@ -224,7 +225,7 @@ def test_a_low_rate_of_poses_is_answered_with_the_rate_that_is_good() -> None:
 
 
 def test_latency_is_answered_with_what_shortens_it_and_with_its_limit_only_beyond_it() -> None:
-    faster = "where the computer is slow, set threads = 2, then budget_ms"
+    faster = f"where the computer is slow, {FASTER}"
     assert findings_of(good_step(), age_s=0.15)["latency"].remark == faster
     remark = findings_of(good_step(), age_s=0.3)["latency"].remark
     assert remark == f"{faster}; poses older than most_age_s, 0.2 s, are not sent"
@@ -248,7 +249,7 @@ def test_noise_in_place_of_an_autopilot_is_said_to_be_the_baud_rates() -> None:
 
 @pytest.mark.parametrize(("link", "level"), [(None, "warning"), (HEARD, "bad")])
 def test_camera_that_went_away_is_named_whatever_its_rate_was(link: LinkReport | None, level: Level) -> None:
-    preflight, summary = Preflight(BUILD, True, 0.0, True, 0.0, 0.2), FlightSummary()
+    preflight, summary = Preflight(BUILD, True, 0.0, True, 0.0, 0.2, FASTER), FlightSummary()
     preflight.idle(0.0)  # before the first image
     for index in range(60):
         result = result_at(50.0 + index / 30.0, good_step())
@@ -288,5 +289,5 @@ def test_set_of_bits_may_have_more() -> None:
 
 
 def test_no_frame_is_bad() -> None:
-    findings = Preflight(BUILD, True, 0.0, True, 0.0, 0.2).findings(FlightSummary(states=Counter()), None)
+    findings = Preflight(BUILD, True, 0.0, True, 0.0, 0.2, FASTER).findings(FlightSummary(states=Counter()), None)
     assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera", "gravity"]

@@ -122,7 +122,7 @@ def test_recording_in_a_folder_or_around_a_file_is_named(tmp_path: Path) -> None
     walk.mkdir(parents=True)
     synthetic.write_folder(walk)
     (walk / "poses.txt").touch()
-    for source in (walk.parent, walk / "poses.txt"):
+    for source in (walk.parent, walk / "poses.txt", walk / "color"):
         refuses_to_open(source, source, "is not recognised", f"give a recording, such as {re.escape(str(walk))}")
 
 
