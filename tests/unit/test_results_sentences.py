@@ -167,14 +167,17 @@ def test_what_the_bullets_of_this_version_say_without_a_number() -> None:
     for method in ("default", "without scans"):  # "No frame there is silently beyond 3.5 sigma"
         assert total(flown(method, DESK_BEYOND), "silent_3_5_sigma") == 0
     tuned, untuned = (by_build(flown(method, DESK_BEYOND), "rmse_cm") for method in ("default", "untuned"))
-    assert [round(tuned[build] / untuned[build], 1) for build in tuned] == [0.7, 0.7, 0.8, 1.5, 1.0]
+    assert sorted(round(tuned[build] / untuned[build], 1) for build in tuned) == [0.7, 0.7, 0.9, 1.4, 1.7]
+    in_kitchen = flown("default", KITCHEN_BEYOND)
+    by_odometry, by_monoloc = (by_build(in_kitchen, name) for name in ("odometry_from_truth_rmse_cm", "rmse_cm"))
+    assert sum(by_odometry[build] < by_monoloc[build] for build in by_monoloc) == 4
     for stretch in (KITCHEN_BEYOND, DESK_BEYOND):
         assert np.ptp([*by_build(flown("untuned, without scans", stretch), "rmse_cm").values()]) < 0.01
     for build in (build for room in RECOVERY for build in room):
         assert build["lost_reported_rate"] == 1.0 and build["map_changed_false_rate"] == 0.0
         assert [build[name] for name in ("starts", "kidnaps", "map_edits")] == [20, 40, 12]
-    in_kitchen, at_desk = ([build["false_tracking_rate"] for build in room] for room in RECOVERY)
-    assert max(in_kitchen) == 0.0
+    far_in_kitchen, at_desk = ([build["false_tracking_rate"] for build in room] for room in RECOVERY)
+    assert max(far_in_kitchen) == 0.0
     assert all(round(1.0 / rate) == pytest.approx(1670, abs=20) for rate in at_desk)  # one of so many frames
 
 
@@ -522,6 +525,9 @@ def test_budgets_are_kept_no_further() -> None:
 
 SENTENCES = (*READING, *THIS_VERSION, *MANY_ROOMS, *OTHER_CAMERAS, *LOCALIZABILITY, *STATE, *BUDGET)
 NOT_OF_THE_DATA: dict[str, str] = {
+    "was undecided too: 1.00 (0.95–1.00)": "of builds of another version",
+    "others it was 0.99 (0.98–1.03), 0.92 (0.87–1.00) and 0.77 (0.70–1.51) times": "of builds of another version",
+    "Tuned ones of seeds 0 to 2": "names",
     "with a budget of 10 ms and two threads, it is 4.0 cm (4.0–4.4) instead of 4.0 cm (3.9–4.2)": "without kept runs",
     "10.8 cm (8.9–11.7) instead of 9.0 cm (8.4–9.3) at the desk": "without kept runs",
     "where 480 instead of 518 of 900 frames": "without kept runs",
@@ -571,11 +577,6 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "The build of this table had 48": "of the version before, which was not kept",
     "all of room 18": "a seed",
     "more than 0.5 % of the *tracking* frames more than 30 cm off": "in the table",
-    "builds of seeds 3 and 4 by": "names",
-    "have an RMSE of 7, 16 and 7 cm, and had 7, 46 and 7 cm before": "without kept runs",
-    "which makes those of seed 0": "a name",
-    "2 of 3 frames that were silently beyond 3.5 sigma": "compared, not kept",
-    "and 0 to 3 frames a flight": "compared, not kept",
     "In an earlier build of that room, it was 29 % until": "of the version before, which was not kept",
     "In rooms 13, 15, 16 and 18, 0.35, 0.95, 0.90 and 0.70 of": "seeds, and shares of the version before",
     "In rooms 14 and 17, about half": "seeds",
