@@ -407,7 +407,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         (("fly", "room.monoloc", "flight", "--mcap", "x/y.mcap"), "--mcap", "does not exist", "make the folder"),
         (("fly", "room.monoloc", "flight", "--out", "x/y.csv"), "--out", "does not exist", "make the folder"),
         (("fly", "room.monoloc", "flight", "--out", "poses.csv", "--record", "log"), "--record", "not empty", "new"),
-        (("fly", "room.monoloc", "flight", "--out", "poses.txt"), "--out", "is a table by another", "NAME.csv"),
+        (("fly", "room.monoloc", "flight", "--out", "poses.txt"), "--out", "would be a table by another", "NAME.csv"),
         (
             ("fly", "room.monoloc", "flight", "--out", "new/poses.csv", "--record", "new"),
             "--out",

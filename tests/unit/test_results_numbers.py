@@ -54,7 +54,12 @@ FAULTS_OF_ROW = {
     "focal length - 30 %": ("intrinsics-minus-30",),
     "lens 10 % longer, with the build's focal length": ("longer-lens-10",),
     "lens 30 % longer": ("longer-lens-30",),
+    "image stretched along its width by 10 %": ("stretched-x-10",),
+    "along its width by 33 %": ("stretched-x-33",),
+    "along its height by 10 %": ("stretched-y-10",),
+    "along its height by 33 %": ("stretched-y-33",),
 }
+OF_LENS = ("intrinsics", "longer-lens", "stretched")  # first words of a fault of the lens
 
 
 def check_this_version(table: Table) -> None:
@@ -199,8 +204,10 @@ def fault_rows(room: str) -> dict[str, str]:
     cells["all faults, during and after"] = (
         f"{silent} of {frames} ({100.0 * silent / frames:.{1 if 100 * silent < 10 * frames else 0}f} %)"
     )
-    others = [fault for name, fault in faults.items() if not name.startswith(("intrinsics", "longer-lens"))]
-    cells["all but focal length and lens"] = "{} of {}".format(*silent_of(others, "during", "after"))
+    others = [fault for name, fault in faults.items() if not name.startswith(OF_LENS)]
+    cells["all but focal length, lens and stretched images"] = "{} of {}".format(
+        *silent_of(others, "during", "after")
+    )
     return cells
 
 
