@@ -145,6 +145,17 @@ def test_an_image_that_is_sure_of_another_focal_length_widens_the_covariance_of_
     assert check.widened(BELIEF, wall_at(2.0)) is BELIEF
 
 
+def test_a_stretched_image_widens_the_covariance_along_all_axes() -> None:
+    """By 0.6 of the log-aspect: in radians, and in distances of the scene."""
+    check = CameraCheck(0.0, 0.005, True)
+    stretched = replace(by_landmarks(0.0), log_aspect=-0.1, log_aspect_sd=0.005)
+    after(check, stretched, 1)
+    assert check.widened(BELIEF, wall_at(2.0)) is BELIEF  # one view may be wrong
+    assert after(check, stretched, 20)
+    added = check.widened(BELIEF, wall_at(2.0)).covariance - BELIEF.covariance
+    np.testing.assert_allclose(added, np.diag([0.12**2] * 3 + [0.06**2] * 3), rtol=1e-6, atol=1e-12)
+
+
 def test_another_focal_length_may_be_a_tenth_wrong_until_landmarks_measure_it() -> None:
     """It then moves the camera by a tenth of the scene's distance, along its optical axis."""
     check = CameraCheck(0.02, 0.01, False)
