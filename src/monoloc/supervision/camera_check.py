@@ -30,7 +30,7 @@ _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than t
 # Of log-aspect. At the desk beyond the build's frames, misplaced landmarks of the right camera suggest up to 0.043.
 _LEAST_LOG_ASPECT = 0.06
 # Standard deviation of a pose, per axis, over the log-aspect of stretched images: in radians, and in distances of the
-# scene. Of images stretched by 10 and 33 % in RedKitchen and at the desk, the RMS along the worst axis was 0.3 to 1.0.
+# scene. Stretched by 10 and 33 %, in RedKitchen and at the desk, the RMS along the worst axis was 0.3 to 1.0 of it.
 _SHARE_OF_ASPECT = 0.6
 # Standard deviation of the log-focal of a camera that is not the build's: before landmarks have measured it for a
 # while, and from which on it counts as confirmed.
