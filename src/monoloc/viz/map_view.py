@@ -122,7 +122,7 @@ def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera,
             pixels = _in_view(view.landmarks, image, camera, T_world_camera)
             axis.plot(*pixels.T, ".", markersize=2.5, color=ORANGE)
             draw_edits(axis, view.edits, partial(_pixels, camera, T_world_camera), with_content=False)
-            axis.set_title(f"{view.name}: depth, and {len(pixels)} landmarks in view")
+            axis.set_title(f"{view.name}: depth (grey: no surface), and {len(pixels)} landmarks in view")
         figure.colorbar(dots, ax=axes[: len(views)], shrink=0.8, pad=0.01, extend="max", label="depth (m)")
         if len(views) == 2:
             both = (images[0] > 0.0) & (images[1] > 0.0)
