@@ -43,7 +43,7 @@ from monoloc.depth.network_check import check_network
 from monoloc.depth.spec import DepthModel
 from monoloc.edit_record import Edit
 from monoloc.errors import BundleError
-from monoloc.files import read_regular
+from monoloc.files import read_regular, target_of, write_folder
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, se3_exp, se3_log
 from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED, Landmarks
@@ -52,7 +52,6 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
 from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
-from monoloc.partial_files import whole_folder
 from monoloc.particle_filter.estimate import UNKNOWN_POSITION_SD_M
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
@@ -152,9 +151,10 @@ def check_target(path: Path) -> None:
     """
     if (container := container_of(path)) is not None:
         raise BundleError(path, f"lies in {container}", "choose another folder")
-    if not path.parent.is_dir():
-        raise BundleError(path, "its folder does not exist", f"make {path.parent} first")
-    if not os.access(path.parent, os.W_OK):
+    parent = target_of(path).parent if path.is_symlink() else path.parent
+    if not parent.is_dir():
+        raise BundleError(path, "its folder does not exist", f"make {parent} first")
+    if not os.access(parent, os.W_OK):
         raise BundleError(path, "its folder cannot be written to", "choose another folder")
     if path.exists() and not (path / MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
@@ -178,10 +178,11 @@ def replaced_edits(path: Path) -> int:
 
 
 def write_bundle(path: str | Path, bundle: Bundle) -> int:
-    """Write a bundle, replacing an older one with its signature; returns its size in bytes.
+    """Write a bundle, replacing an older one with its signature, also through a link; returns its size in bytes.
 
     Raises:
-        BundleError: as in :func:`check_target`, or the disk cannot hold it.
+        BundleError: as in :func:`check_target`.
+        DataError: the disk cannot hold it.
         TypeError: path and bundle are given in the other order, or the bundle is none.
     """
     if not isinstance(bundle, Bundle):
@@ -212,14 +213,7 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         edits=[edit.record for edit in bundle.edits],
     )
     contents[MANIFEST] = seal(manifest)
-    try:
-        with whole_folder(path) as folder:
-            for name, content in contents.items():
-                (folder / name).write_bytes(content)
-    except OSError as error:
-        fix = "make room for it, or name a place you can write to"
-        raise BundleError(path, f"cannot be written ({error.strerror})", fix) from error
-    return sum(len(content) for content in contents.values())
+    return write_folder(path, contents)
 
 
 def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundle:

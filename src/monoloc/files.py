@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from monoloc.errors import DataError
-from monoloc.partial_files import whole_file
+from monoloc.partial_files import whole_file, whole_folder
 
 MOST_BYTES = 1 << 30
 """Size of a file that is read whole."""
@@ -73,6 +73,29 @@ def write_whole(path: Path, content: bytes, *, is_synced: bool = True) -> None:
         is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         fix = "make room, or choose another disk" if is_full else "name a file in a folder you can write to"
         raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
+
+
+def write_folder(path: Path, contents: Mapping[str, bytes]) -> int:
+    """Write a folder of files atomically, following links; on failure an existing folder is unchanged.
+
+    Args:
+        path: of the folder; whatever it holds is replaced.
+        contents: the files by their names.
+
+    Returns:
+        Bytes of all files.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    try:
+        with whole_folder(target_of(path)) as folder:
+            for name, content in contents.items():
+                (folder / name).write_bytes(content)
+    except OSError as error:
+        fix = "make room for it, or name a place you can write to"
+        raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
+    return sum(len(content) for content in contents.values())
 
 
 def json_text(content: Mapping[str, object]) -> str:

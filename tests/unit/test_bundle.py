@@ -36,7 +36,7 @@ from monoloc.bundle_manifest import SCHEMA, digest, manifest_content
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.edit_record import Edit, EditRecord
-from monoloc.errors import BundleError
+from monoloc.errors import BundleError, DataError
 from monoloc.files import read_regular
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -48,6 +48,7 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.motion_model import MotionConfig
 from monoloc.supervision.integrity import Classes, IntegrityModel, SensorModel
 from onnx_networks import onnx_network
+from refusals import refuses_data
 
 
 def make_bundle(seed: int = 0) -> Bundle:
@@ -326,10 +327,22 @@ def failing_write(monkeypatch, on: str, error: BaseException) -> None:
 def test_failed_write_leaves_the_older_bundle(written, tmp_path, monkeypatch, on, error):
     before = contents(written)
     failing_write(monkeypatch, on, error)
-    with pytest.raises((BundleError, KeyboardInterrupt)):
+    with pytest.raises((DataError, KeyboardInterrupt)):
         write_bundle(written, make_bundle(seed=5))
     assert contents(written) == before
     assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]
+
+
+def test_bundle_is_written_through_links(tmp_path):
+    room, link = tmp_path / "rooms" / "room.monoloc", tmp_path / "current.monoloc"
+    link.symlink_to(room)
+    refuses(lambda: write_bundle(link, make_bundle()), link, "its folder does not exist")
+    room.parent.mkdir()
+    for seed in (1, 2):
+        write_bundle(link, make_bundle(seed=seed))
+        assert contents(room) == contents(link)
+    assert sorted(tmp_path.iterdir()) == [link, room.parent] and link.is_symlink()
+    assert list(room.parent.iterdir()) == [room]
 
 
 def test_failed_write_leaves_nothing(tmp_path, monkeypatch):
@@ -342,7 +355,8 @@ def test_failed_write_leaves_nothing(tmp_path, monkeypatch):
 def test_full_disk_gives_one_line(tmp_path, monkeypatch):
     path = tmp_path / "room.monoloc"
     failing_write(monkeypatch, "depth.onnx", OSError(28, "No space left on device"))
-    refuses(lambda: write_bundle(path, make_bundle()), path, "cannot be written (No space left on device)")
+    full = r"cannot be written \(No space left on device\)"
+    refuses_data(lambda: write_bundle(path, make_bundle()), path, full, "make room")
 
 
 # --- Damaged bundles ---

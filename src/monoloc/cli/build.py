@@ -153,7 +153,7 @@ def build(
         progress = ConsoleProgress(stderr, Plan(expected_stages(len(recording), config)))
         bundle, report = build_bundle(recording, config, seed, progress, points, network)
     with locked_folder(target_of(out).parent):
-        size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
+        size = write_bundle(out, bundle)
         if evidence.is_file():  # of the bundle that was there; flights in this one begin anew
             evidence.unlink()
     report = replace(report, warnings=remarks + report.warnings)

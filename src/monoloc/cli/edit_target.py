@@ -41,7 +41,7 @@ class EditTarget:
         seconds = time.perf_counter() - began
         with found.held():
             was_signed = (target / SIGNATURE).is_file()
-            size = write_bundle(target_of(target), edited)
+            size = write_bundle(target, edited)
         if was_signed:
             note(target, SIGNATURE_REMOVED)
         content: dict[str, object] = {"bundle": str(target), "bytes": size, "seconds": round(seconds, 3)}

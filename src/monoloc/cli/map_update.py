@@ -104,7 +104,7 @@ def update(
     found = AsFound.of(target_of(target), evidence_path(target_of(target)))
     room = read_bundle(bundle)
     if auto or apply is not None:
-        check_target(target_of(target))  # before the flights are looked at, which takes minutes
+        check_target(target)  # before the flights are looked at, which takes minutes
     recordings = [open_source(source, frames, intrinsics, depth_scale, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
         _check_depth(recordings)
@@ -133,7 +133,7 @@ def update(
             _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
         if is_written:
             if chosen or out is not None:
-                write_bundle(target_of(target), updated)
+                write_bundle(target, updated)
             write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         note(target, SIGNATURE_REMOVED)

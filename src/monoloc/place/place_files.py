@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,10 +19,9 @@ from monoloc.bundle import Bundle, check_bytes, digest_of, read_bundle, read_des
 from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST, container_of, manifest_content
 from monoloc.bundle_signature import SIGNATURE, PublicKey, read_public_key
 from monoloc.errors import BundleError, DataError, SettingError
-from monoloc.files import read_regular, target_of
+from monoloc.files import read_regular, target_of, write_folder
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED
-from monoloc.partial_files import whole_folder
 from monoloc.place.place_manifest import MOST_NAME, Door, PlaceManifest, RoomEntry, parse_place, place_content
 from monoloc.place.room_index import RoomIndex, selected_descriptors
 from monoloc.version import __version__
@@ -191,18 +190,11 @@ def write_place(place: Place) -> int:
     index = _packed(place.descriptors)
     # Of what is written here: another computer may have compressed the same index to other bytes.
     manifest = place.manifest.model_copy(update={"index_sha256": hashlib.sha256(index).hexdigest()})
-    contents: Mapping[str, bytes] = {
+    contents = {
         PLACE_MANIFEST: manifest.model_dump_json(indent=1).encode(),
         PLACE_INDEX: index,
     }
-    try:
-        with whole_folder(target_of(place.path)) as folder:
-            for name, content in contents.items():
-                (folder / name).write_bytes(content)
-    except OSError as error:
-        fix = "make room for it, or name a place you can write to"
-        raise DataError(place.path, f"cannot be written ({error.strerror})", fix) from error
-    return sum(len(content) for content in contents.values())
+    return write_folder(place.path, contents)
 
 
 def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: bool = False) -> Place:

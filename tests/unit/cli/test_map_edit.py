@@ -270,7 +270,5 @@ def test_edit_that_cannot_be_written_leaves_the_bundle(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    refused(
-        capfd, here, (*EDIT, "remove", "--box", BOX), str(here / "room.monoloc"), "cannot be written", "make room"
-    )
+    refused(capfd, here, (*EDIT, "remove", "--box", BOX), "room.monoloc", "cannot be written", "make room")
     assert listing(here) == before

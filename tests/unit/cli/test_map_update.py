@@ -156,8 +156,7 @@ def test_a_write_protected_bundle_is_refused_before_flights_are_looked_at(
     write_recording(here / "flight", flight(1))
     monkeypatch.setattr("monoloc.cli.map_update.observe", None)
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK or Path(path).name != "room.monoloc")
-    room = str(here / "room.monoloc")
-    refused(capfd, here, (*UPDATE, "folder:flight", "--auto"), room, "is write-protected", "chmod -R u\\+w")
+    refused(capfd, here, (*UPDATE, "folder:flight", "--auto"), "room.monoloc", "is write-protected", "chmod -R u\\+w")
 
 
 def test_a_folder_that_takes_no_evidence_is_refused_before_flights_are_looked_at(
