@@ -11,7 +11,6 @@ from functools import partial
 from itertools import islice, repeat
 
 import numpy as np
-from numpy.lib.recfunctions import structured_to_unstructured
 
 from monoloc.geometry import FloatArray
 
@@ -130,7 +129,10 @@ def _binary(body: bytes, order: str) -> _Read:
         with np.errstate(invalid="ignore"):  # a signalling NaN
             if row.names is None:  # one column
                 return table.astype(np.float64)[:, None]
-            return structured_to_unstructured(table, dtype=np.float64)
+            numbers = np.empty((len(table), len(row.names)))
+            for column, name in enumerate(row.names):
+                numbers[:, column] = table[name]
+            return numbers
 
     def read(element: _Element) -> dict[str, Column]:
         if element.has_lists:
