@@ -156,7 +156,7 @@ SENTENCES: tuple[Sentence, ...] = (
         [total(TUNED, name) for name in ("frames", "silent_30cm", "silent_3_5_sigma")],
     ),
     (
-        "which nobody had looked at, {} of {} frames are silently wrong",
+        "which nobody had looked at before, {} of {} frames are silently wrong",
         [total(LOOKED_AT_BY_NOBODY, "silent_3_5_sigma"), total(LOOKED_AT_BY_NOBODY, "frames")],
     ),
     ("SIFT is more accurate**: in RedKitchen, its RMSE is {} cm", [sift_in_kitchen_cm("interpolation")]),
@@ -199,6 +199,11 @@ NOT_OF_THE_DATA: dict[str, str] = {
 @pytest.mark.parametrize(("sentence", "expected"), SENTENCES)
 def test_sentence(sentence: str, expected: list[float]) -> None:
     agree_sentence("README.md", sentence, expected)
+
+
+def test_the_first_page_states_what_is_not_solved() -> None:
+    share = tracking_percent(flown("default", DESK_BEYOND))
+    agree_sentence("docs/index.md", "beyond the frames of the build, {} % of the frames are *tracking*", [share])
 
 
 def test_every_other_number_is_none_that_was_measured() -> None:

@@ -24,6 +24,7 @@ GOOD_SCALE_SD = 0.05
 """Relative standard deviation of a map's scale up to which its poses are for an autopilot: 5 cm in a metre."""
 
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz
+_LEAST_SHARE = 0.97  # of a camera's stated rate that is measured
 _FEW_DROPPED = 0.1  # of the frames: the computer keeps up with the source
 _GOOD_LATENCY_S = 0.1  # from capture to result
 _MOST_PAUSE_S = 0.3  # after which ArduPilot no longer uses vision; PX4 waits for 0.4 s
@@ -246,7 +247,7 @@ def _of_timing(
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
         level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or firmware is None else "bad"
-        level = "good" if rate_hz >= _GOOD_RATE_HZ else level
+        level = "good" if rate_hz >= _LEAST_SHARE * _GOOD_RATE_HZ else level
         is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
         asked = "" if firmware is None else f"; {firmware.title} asks for {firmware.asked_rate}"
         fix = f"the source gives no more{asked}" if is_slow_camera else faster

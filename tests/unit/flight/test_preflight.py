@@ -101,6 +101,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
     ("name", "level", "given"),
     [
         ("rate", "warning", {"rate_hz": 8.0}),
+        ("rate", "good", {"rate_hz": 14.9}),
         ("rate", "bad", {"rate_hz": 3.0}),
         ("rate", "warning", {"rate_hz": 3.0, "link": None}),
         ("latency", "warning", {"age_s": 0.15}),
