@@ -50,10 +50,14 @@ def silent(name: str) -> list[float]:
     return [sum(day["silent"] for day in days), sum(day["vouched_for"] for day in days)]
 
 
-def unused(rooms: list[dict[str, Any]]) -> list[float]:
-    """Days with fewer than five usable frames, and all."""
-    days = [day for found in rooms for day in found["days"]]
-    return [sum(day["usable_frames"] < 5 for day in days), len(days)]
+def refusals(rooms: list[dict[str, Any]]) -> list[str]:
+    """Of each day, why flights were refused; empty where none was."""
+    return [day["refusal"] or "" for found in rooms for day in found["days"]]
+
+
+def refused(rooms: list[dict[str, Any]], why: str = "") -> int:
+    """Days on which a flight was refused, for a reason."""
+    return sum(bool(refusal) and why in refusal for refusal in refusals(rooms))
 
 
 def applied(kind: str) -> int:
@@ -66,8 +70,19 @@ SENTENCES = [
         "Its median error is {} to {} times as large with one flight a day, and {} to {} times with two.",
         [end for rooms in (ONE, TWO) for end in extremes_of([found["median_ratio"] for found in rooms])],
     ),
-    ("**On {} of the {} days, the day's flight is not used**", unused(ONE)),
-    ("With two flights, that is so on {} of the {} days.", unused(TWO)),
+    (
+        "**On {} of the {} days, the day's flight is refused**: on {} since fewer than half of its frames are "
+        "*tracking*, on {} since landmarks fit another focal length, although the camera is the one of the build, and "
+        "on {} since fewer than five of its frames are usable.",
+        [
+            refused(ONE),
+            len(refusals(ONE)),
+            refused(ONE, "tracking, fewer"),
+            refused(ONE, "another focal length"),
+            refused(ONE, "are usable"),
+        ],
+    ),
+    ("With two flights a day, one or both are refused on {} of the {} days.", [refused(TWO), len(refusals(TWO))]),
     (
         "over all days and rooms, {} of the {} frames that are *tracking* or *map-changed* on the map that was never "
         "updated are more than 30 cm off, and {} of {} on the updated one.",
