@@ -24,6 +24,7 @@ from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.odometry.standing_image import StandingImage
 from monoloc.odometry.standing_pixels import StandingPixels
 from monoloc.particle_filter.motion_model import motion_sd
+from monoloc.same_image import is_same_image
 from monoloc.second_thread import SecondThread
 from monoloc.step_budget import Stage, StepPlan
 
@@ -56,6 +57,7 @@ class Observation:
             where scans are left out.
         corners: odometry's corners whose depth parallax has refined; empty where scans are left out.
         landmarks_seen: what the landmark localiser detects in the image, once it is asked for.
+        landmarks_left_out: whether landmarks are not looked for, to keep a budget.
         down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
     """
 
@@ -73,6 +75,7 @@ class Observation:
     scan: Scan
     corners: Scan
     landmarks_seen: Callable[[], Any]
+    landmarks_left_out: bool
     down_camera: FloatArray | None
 
     @property
@@ -112,7 +115,8 @@ class FrontEnd:
         self._repeated_s = self._waited_s = 0.0
         self._standing_image, self._standing_pixels = StandingImage(), standing_pixels
         self._depth_camera = camera  # of the last depth image
-        self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
+        # By another sensor, since the last image that did not wait: one motion, None if it is not known throughout.
+        self._measured: list[Motion | None] = []
 
     def reset(self) -> None:
         """Take the next frame as the first."""
@@ -154,7 +158,8 @@ class FrontEnd:
         depth_of = self._predicted(color) if is_predicted else lambda: measured_depth if has_depth else None
         has_landmarks = (plan is None or plan.has_landmarks) and not is_empty and not is_repeated
         landmarks_seen = self._second_thread.begin(partial(self._landmarks.detect, color), is_needed=has_landmarks)
-        self._measured.append(None if self._is_first else measured_motion)
+        # As one motion: a camera may repeat its image for minutes.
+        self._measured = [chained([*self._measured, None if self._is_first else measured_motion])]
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
         motion_s = elapsed_s if waits else self._waited_s + elapsed_s
@@ -185,18 +190,15 @@ class FrontEnd:
             scan=EMPTY_SCAN if is_repeated or (is_empty and measured_depth is None) else scan,
             corners=self._corners(motion) if motion is not None and self._has_scans else EMPTY_SCAN,
             landmarks_seen=landmarks_seen,
+            landmarks_left_out=plan is not None and not plan.has_landmarks,
             down_camera=down_camera,
         )
         self._is_first = False
         return observation
 
     def _is_repeated(self, color: NDArray[np.uint8], elapsed_s: float) -> bool:
-        """Whether the camera gave the previous image again; a sensor's noise alone makes two images differ."""
-        previous = self._previous
-        # A few rows already differ in most images.
-        is_repeated = (
-            previous is not None and np.array_equal(color[::32], previous[::32]) and np.array_equal(color, previous)
-        )
+        """Whether the camera gave the previous image again."""
+        is_repeated = is_same_image(color, self._previous)
         self._repeated_s = self._repeated_s + elapsed_s if is_repeated else 0.0
         self._previous = color.copy()
         return is_repeated
@@ -216,7 +218,7 @@ class FrontEnd:
         self, color: NDArray[np.uint8], depth_of: DepthOfFrame, is_repeated: bool, elapsed_s: float
     ) -> tuple[Motion | None, float]:
         """The motion since the previous call, and for how many seconds the image has stood although it turned."""
-        measured, self._measured = chained(self._measured), []
+        (measured,), self._measured = self._measured, []
         if self._odometry is None or is_repeated:
             return measured, 0.0
         rotation = None if measured is None else measured.T_previous_current[:3, :3]

@@ -420,7 +420,9 @@ class Localizer:
             camera_turned=self._is_turned(observation, belief),
             camera_confirmed=self._camera_check.is_confirmed,
             start_confirmed=self._start_confirmed,
-            changed_region=self._map_change.update(comparable, probability_far, belief.pose, observation.elapsed_s),
+            changed_region=self._map_change.update(
+                comparable, probability_far, belief.pose, observation.elapsed_s, observation.landmarks_left_out
+            ),
         )
 
     def _is_turned(self, observation: Observation, belief: Estimate) -> bool:

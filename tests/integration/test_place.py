@@ -76,6 +76,22 @@ def test_a_camera_is_found_and_handed_over_once(place: Place, walk: RoomRecordin
         np.testing.assert_array_equal(one.step.estimate.pose, other.step.estimate.pose)
 
 
+def test_an_image_that_repeats_finds_no_room_and_opens_no_door(place: Place, walk: RoomRecording) -> None:
+    """Else a frozen camera is found again where it was before, time and again, or goes through a door."""
+    localizer = PlaceLocalizer(place, CAMERA)
+    follow(localizer, walk, range(8))
+    frozen = [localizer.step(walk.color(8), FRAME_S) for _ in range(80)]
+    assert {step.room for step in frozen} == {LEFT, None} and not any(step.entered for step in frozen)
+    assert all(step.state == "lost" for step in frozen[40:])
+    assert follow(localizer, walk, range(9, 13))[-1].state == "tracking"
+    at_door = (
+        next(index for index, step in enumerate(follow(localizer, walk, range(13, FRAMES))) if step.entered) + 13
+    )
+    before = PlaceLocalizer(place, CAMERA, LEFT, Start(walk.poses[at_door - 3]))
+    follow(before, walk, range(at_door - 3, at_door - 2))
+    assert {before.step(walk.color(at_door - 2), FRAME_S).room for _ in range(8)} == {LEFT}
+
+
 @pytest.mark.slow
 def test_a_camera_that_turns_back_is_handed_back(place: Place, walk: RoomRecording) -> None:
     localizer = PlaceLocalizer(place, CAMERA, RIGHT, Start(np.linalg.inv(T_LEFT_RIGHT) @ walk.poses[-1]))
@@ -160,7 +176,7 @@ def test_a_lost_camera_is_found_although_another_room_cannot_be_read(
     assert {step.room for step in steps} == {None, LEFT} and steps[-1].state == "tracking"
     assert list(localizer.unreadable) == [RIGHT] and "put it back" in localizer.unreadable[RIGHT]
     fails[0] = False
-    steps = [localizer.step(walk.color(FRAMES - 1), 0.4) for _ in range(10)]
+    steps = [localizer.step(walk.color(FRAMES - 1 - index % 2), 0.4) for index in range(10)]
     assert steps[-1].room == RIGHT and not localizer.unreadable
 
 
@@ -186,13 +202,13 @@ def test_frames_before_a_loss_do_not_count_for_a_door(
     monkeypatch.setattr(localizer, "_found", lambda room, seen, belief: 30 if room == RIGHT else 0)
     stepped = localizer._stepped
     entered = []
-    for is_lost in (False, False, True, False, False, False):
+    for index, is_lost in enumerate((False, False, True, False, False, False)):
         monkeypatch.setattr(
             localizer,
             "_stepped",
             lambda *given, is_lost=is_lost: replace(stepped(*given), state="lost" if is_lost else "tracking"),
         )
-        entered.append(localizer.step(walk.color(10), FRAME_S).entered)
+        entered.append(localizer.step(walk.color(10 + index % 2), FRAME_S).entered)
     assert entered == [False] * 5 + [True]
 
 

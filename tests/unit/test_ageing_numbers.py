@@ -72,8 +72,8 @@ SENTENCES = [
     ),
     (
         "**On {} of the {} days, the day's flight is refused**: on {} since fewer than half of its frames are "
-        "*tracking*, on {} since landmarks fit another focal length, although the camera is the one of the build, and "
-        "on {} since fewer than five of its frames are usable.",
+        "*tracking*, on {} since landmarks fit another focal length, although the camera is the one of the build, "
+        "and on {} since fewer than five of its frames are usable.",
         [
             refused(ONE),
             len(refusals(ONE)),

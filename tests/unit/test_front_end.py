@@ -321,6 +321,14 @@ def test_odometry_is_told_the_rotation_since_the_previous_new_image() -> None:
     assert observation.motion is None and odometry.rotations[-1] is None
 
 
+def test_the_motion_while_an_image_repeats_is_kept_as_one() -> None:
+    """A camera may freeze for minutes; the first new image must not wait for thousands of motions."""
+    front_end = make_front_end(_Odometry(None, None))
+    for _ in range(50):
+        front_end.observe(COLOR, 0.1, None, None, TURN)
+    assert len(front_end._measured) == 1
+
+
 def test_rotation_alone_stands_in_for_odometry_but_does_not_track() -> None:
     front_end = make_front_end(_Odometry(None, corners_of(PREDICTED, 0.0)))
     assert front_end.observe(COLOR, 0.1, None, None, TURN).motion is None  # the first frame

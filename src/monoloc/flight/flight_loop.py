@@ -19,6 +19,7 @@ from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.same_image import is_same_image
 from monoloc.settled_objects import settled
 from monoloc.start import Start
 from monoloc.step import Step
@@ -273,7 +274,10 @@ class Flight:
     def _begins(self, frame: LiveFrame) -> bool:
         """Whether the frame can be localised, after a start was looked for in it, if that is needed."""
         self._check_size(frame)
-        self._start = self._find_start(frame.color) if self._is_lost else None
+        previous = None if self._previous is None else self._previous.color
+        # An image that repeats says nothing of where the camera is now.
+        looks = self._is_lost and not is_same_image(frame.color, previous)
+        self._start = self._find_start(frame.color) if looks else None
         if self._start is not None:
             self._localizer.reset(self._start)
             self._is_waiting = False

@@ -17,6 +17,7 @@ from monoloc.live.frame_source import EndOfStreamError
 
 _BEGIN = b"\xff\xd8\xff"
 _SOI, _EOI = 0xD8, 0xD9  # markers of an image's begin and end
+_FILL = 0xFF  # may be repeated before a marker (ITU-T T.81, B.1.1.2)
 _SCAN = 0xDA  # marker of the segment that the compressed pixels follow
 _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segment that states the image's size
 # What ends compressed pixels: in them, a zero follows 0xFF, or the number of a restart (ITU-T T.81, B.1.1.5).
@@ -102,6 +103,9 @@ class MjpegStream:
             marker = data[at + 1]
             if data[at] != 0xFF or marker == _SOI:
                 return _DAMAGED
+            if marker == _FILL:
+                at += 1
+                continue
             if marker == _EOI:
                 return at + 2
             if at + 9 > len(data):

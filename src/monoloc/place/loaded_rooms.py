@@ -76,6 +76,11 @@ class LoadedRooms:
         """Why rooms could not be read when they were asked for last, by name."""
         return {name: str(failure.error) for name, failure in self._failures.items()}
 
+    def keep(self, name: str) -> None:
+        """Count a room in memory as asked for now, so that others are dropped before it."""
+        if name in self._rooms:
+            self._rooms.move_to_end(name)
+
     def pass_time(self, elapsed_s: float) -> None:
         """Let the time from one frame to the next pass."""
         self._now_s += elapsed_s

@@ -26,6 +26,7 @@ from monoloc.place.loaded_rooms import MOST_LOADED, LoadedRooms
 from monoloc.place.place_files import Place
 from monoloc.place.place_manifest import Door
 from monoloc.place.room_search import RoomSearch
+from monoloc.same_image import is_same_image
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level
@@ -70,6 +71,7 @@ class _Frame:
     down: FloatArray | None
     measured_motion: Motion | None
     level: Level | None
+    is_repeated: bool  # it shows the previous image again, which is no second view of anything
 
     @property
     def nowhere(self) -> PlaceStep:
@@ -124,6 +126,7 @@ class PlaceLocalizer:
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
         self._hand_over, self._is_first = HandOver(), True
+        self._previous: NDArray[np.uint8] | None = None
         self._candidate: str | None = None  # that a search found last
         self._since_candidate_s = 0.0
         self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
@@ -172,7 +175,8 @@ class PlaceLocalizer:
         self._is_first = False
         self._since_candidate_s += elapsed_s
         self._rooms.pass_time(elapsed_s)
-        frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level)
+        is_repeated, self._previous = is_same_image(color, self._previous), color.copy()
+        frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level, is_repeated)
         if self._localizer is None or self._room is None:
             return self._searched(frame)
         step = self._stepped(self._localizer, self._room, frame)
@@ -185,18 +189,21 @@ class PlaceLocalizer:
             self._localizer, self._candidate, self._since_search_s = None, None, _SEARCH_PERIOD_S
             return self._searched(frame)
         self._lost_s = 0.0
-        door = self._door_taken(color, self._room, step.estimate)
+        stays = PlaceStep(self._room, step, level=step.level)
+        return stays if is_repeated else self._left(frame, self._room, step) or stays
+
+    def _left(self, frame: _Frame, room: str, step: Step) -> PlaceStep | None:
+        """The first step in another room, if the camera is there; None where it stays."""
+        door = self._door_taken(frame.color, room, step.estimate)
         if door is not None:
             return self._handed_over(frame, door, step.estimate)
-        other = self._other_room(frame, self._room, step)
-        if other is None:
-            return PlaceStep(self._room, step, level=step.level)
-        return self._entered(other, None, frame)
+        other = self._other_room(frame, room, step)
+        return None if other is None else self._entered(other, None, frame)
 
     def _searched(self, frame: _Frame) -> PlaceStep:
         """Search all rooms; the room's own search then finds the pose, at the same frame."""
         self._since_search_s += frame.elapsed_s
-        if self._since_search_s < _SEARCH_PERIOD_S:
+        if self._since_search_s < _SEARCH_PERIOD_S or frame.is_repeated:
             return frame.nowhere
         self._since_search_s = 0.0
         room = self._agreed(frame)

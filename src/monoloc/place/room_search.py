@@ -74,6 +74,8 @@ class RoomSearch:
 
         Rooms that cannot be read are left out, unless they may well be the camera's: then there is no room either.
         """
+        if known is not None:  # whose localizer goes on in it
+            self._rooms.keep(known)
         votes = self.ranked(seen, known)
         found = {name: self._found(name, seen) for name in votes}
         room = self._decided([each for each in found.values() if each is not None])

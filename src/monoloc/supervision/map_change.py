@@ -99,15 +99,22 @@ class MapChangeMonitor:
         self._above_s = np.zeros(len(self._cells))
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
         self._was_in_view = np.zeros(len(self._cells), dtype=np.bool_)
+        self._region: ChangedRegion | None = None  # in view in the last frame whose landmarks were looked for
 
     def forget(self) -> None:
         """Drop all evidence."""
         for each in (self._nats, self._earlier, self._sum, self._seen_s, self._above_s):
             each[:] = 0.0
         self._is_found_here[:], self._is_changed[:] = False, False
+        self._region = None
 
     def update(
-        self, familiar: FamiliarLandmarks | None, probability_far: float, pose: FloatArray, elapsed_s: float
+        self,
+        familiar: FamiliarLandmarks | None,
+        probability_far: float,
+        pose: FloatArray,
+        elapsed_s: float,
+        is_left_out: bool = False,
     ) -> ChangedRegion | None:
         """The changed region in view after a frame; of several, the one with most evidence.
 
@@ -117,11 +124,16 @@ class MapChangeMonitor:
             probability_far: that the belief's position is far off; an uncertain pose is no evidence about the map.
             pose: of the belief, (4, 4).
             elapsed_s: since the previous frame.
+            is_left_out: whether no landmarks were looked for, so that what was in view before still counts.
         """
         elapsed_s = elapsed_s if elapsed_s > 0.0 else _FIRST_S
         for each in (self._nats, self._earlier, self._sum):
             each *= math.exp(-elapsed_s / _FORGOTTEN_S)  # also in frames that say nothing
-        if familiar is None or not self._tells_changes or probability_far >= _CERTAIN_BELOW:
+        is_certain = probability_far < _CERTAIN_BELOW
+        if is_left_out and is_certain:
+            return self._region
+        self._region = None
+        if familiar is None or not self._tells_changes or not is_certain:
             return None
         in_view = self._cell_of[familiar.indices]
         if self._views.is_new(pose):
@@ -133,7 +145,8 @@ class MapChangeMonitor:
         self._above_s[np.unique(in_view)] += min(elapsed_s, MOST_COUNTED_S)
         self._above_s[nats < _CHANGED_NATS] = 0.0
         self._is_changed = (self._above_s >= _LEAST_S) | (self._is_changed & (nats >= _UNCHANGED_NATS))
-        return self._region(nats, in_view)
+        self._region = self._region_in(nats, in_view)
+        return self._region
 
     def _observe(self, indices: NDArray[np.int64], evidence: FloatArray, elapsed_s: float) -> None:
         """Add what an image says of some landmarks, (F,) each.
@@ -177,7 +190,7 @@ class MapChangeMonitor:
         """Sums (C,) over some cells (S,), each together with those that touch it: (S,)."""
         return np.asarray(np.append(sums, 0.0)[self._neighbours[cells]].sum(axis=1))
 
-    def _region(self, nats: FloatArray, in_view: NDArray[np.int64]) -> ChangedRegion | None:
+    def _region_in(self, nats: FloatArray, in_view: NDArray[np.int64]) -> ChangedRegion | None:
         """Changed cells that touch each other, of which one is in view."""
         seen = in_view[self._is_changed[in_view]]
         if len(seen) == 0:

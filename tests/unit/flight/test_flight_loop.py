@@ -37,6 +37,7 @@ class Source:
     name: str = "a camera"
     reconnections: int = 0
     clock_s: float = 100.0
+    is_frozen: bool = False
 
     def now_s(self) -> float:
         return self.clock_s
@@ -49,7 +50,7 @@ class Source:
             self.clock_s += timeout_s
             return None
         captured_s, self.clock_s, sequence = frame
-        return LiveFrame(IMAGE, captured_s, sequence)
+        return LiveFrame(IMAGE if self.is_frozen else IMAGE + np.uint8(sequence), captured_s, sequence)
 
     def close(self) -> None:
         raise AssertionError("the caller closes it")
@@ -146,6 +147,16 @@ def test_a_start_is_looked_for_while_lost_and_at_the_beginning_where_none_is_kno
     assert localizer.resets == [(before, start), (before + 3, start)]
     assert [result.start for result in heard.results] == [None] * before + [start, None, None, start]
     assert summary.dropped["without start"] == len(heard.idle_s) == (2 if begins == "waiting" else 0)
+
+
+def test_an_image_that_repeats_is_not_asked_for_a_start() -> None:
+    """A marker in a frozen image would begin the flight anew, time and again, where the camera was before."""
+    source = Source([(100.0 + i / 10, 100.05 + i / 10, i) for i in range(5)], is_frozen=True)
+    localizer, start = Calls(source, states=["lost"] * 5), Start(np.eye(4))
+    starting = Starting(None, lambda color: start, "searching")
+    flight = (cast(Localizer, localizer), CAMERA, source, [], 0.2, starting, OtherSensors(), FlightSummary())
+    Flight(*flight).run(lambda: False)
+    assert localizer.resets == [(0, start)] and len(localizer.elapsed_s) == 5
 
 
 def test_elapsed_time_is_between_times_of_capture_also_across_frames_that_were_not_localised() -> None:

@@ -102,6 +102,12 @@ def test_one_byte_at_a_time() -> None:
     shows(images_of(stream_of(*(bytes([byte]) for byte in JPEGS[0] + JPEGS[1]))), 0, 1)
 
 
+@pytest.mark.parametrize("before", [b"\xff\xdb", b"\xff\xc0", b"\xff\xda", b"\xff\xd9"])
+def test_bytes_that_fill_up_before_a_marker_are_skipped(before: bytes) -> None:
+    at = JPEGS[0].index(before, 2)
+    shows(images_of(stream_of(JPEGS[0][:at] + b"\xff\xff" + JPEGS[0][at:], JPEGS[1])), 0, 1)
+
+
 def test_boundaries_of_multipart_streams_and_other_bytes_between_images_are_skipped() -> None:
     boundary = b"\r\n--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 1234\r\n\r\n"
     shows(images_of(stream_of(b"".join(boundary + jpeg for jpeg in JPEGS), boundary)), 0, 1, 2)

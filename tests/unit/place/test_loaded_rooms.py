@@ -53,3 +53,10 @@ def test_only_a_room_that_was_read_takes_the_place_of_the_least_recently_used() 
         rooms["cellar"]
     assert rooms.names == ["kitchen", "study", "hall"]
     assert rooms["attic"].bundle and rooms.names == ["study", "hall", "attic"]
+
+
+def test_a_room_that_is_kept_is_dropped_after_the_others() -> None:
+    rooms = rooms_on(Disk(), "hall", "kitchen", "study")
+    rooms.keep("hall")
+    rooms.keep("cellar")  # not in memory
+    assert rooms["attic"].bundle and rooms.names == ["study", "hall", "attic"]

@@ -30,7 +30,10 @@ def landmarks() -> Landmarks:
 
 
 class Loaded(dict[str, Any]):
-    """Rooms in memory; others cannot be read."""
+    """Rooms in memory, by the order of their use; others cannot be read."""
+
+    def keep(self, name: str) -> None:
+        self.kept = name
 
     def __missing__(self, name: str) -> Any:
         raise BundleError(name, "cannot be read", "put it back")

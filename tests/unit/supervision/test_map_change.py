@@ -75,6 +75,19 @@ def test_it_takes_half_a_second_whatever_the_frame_rate(rate_hz: float) -> None:
     assert 0.35 < first_s < 1.1
 
 
+def test_a_change_stays_named_in_frames_whose_landmarks_are_left_out() -> None:
+    """Under a budget, every second frame has none."""
+    flight = Flight(room())
+    region = flight(2.0, RIGHT)[-1]
+    assert region is not None
+    assert flight.monitor.update(None, 0.0, np.eye(4), 0.1, is_left_out=True) is region
+    assert flight.monitor.update(None, 0.5, np.eye(4), 0.1, is_left_out=True) is None  # the pose is in doubt
+    assert flight.monitor.update(None, 0.0, np.eye(4), 0.1, is_left_out=True) is None
+    assert flight(1.0, RIGHT)[-1] is not None
+    flight.monitor.forget()
+    assert flight.monitor.update(None, 0.0, np.eye(4), 0.1, is_left_out=True) is None
+
+
 def test_one_frame_after_a_gap_is_no_change() -> None:
     assert Flight(room())(5.0, RIGHT, rate_hz=0.2) == [None]
 
