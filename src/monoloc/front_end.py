@@ -173,7 +173,7 @@ class FrontEnd:
             depth = self._corrected(depth, motion)
             if self._has_scans:
                 # A sensor's depth is of another lens.
-                of_room = self._standing_pixels.without(depth) if measured_depth is None else depth
+                of_room = self._standing_pixels.found.without(depth) if measured_depth is None else depth
                 scan = self._scan(of_room, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
             elapsed_s=elapsed_s,
@@ -229,7 +229,7 @@ class FrontEnd:
             camera = self._depth_camera
             depth_m = np.zeros((camera.height, camera.width), dtype=np.float32)
         else:
-            depth_m, camera = self._standing_pixels.without(depth).depth_m, depth.camera
+            depth_m, camera = self._standing_pixels.found.without(depth).depth_m, depth.camera
             self._depth_camera = camera
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:

@@ -226,7 +226,7 @@ class Localizer:
             scan=observation.scan,
             changed_region=supervision.changed_region,
             level=level,
-            standing=self._standing_pixels.mask if self._standing_pixels.share else None,
+            standing=self._standing_pixels.found.mask if self._standing_pixels.share else None,
         )
 
     def _plan(self, level: Level | None) -> tuple[Level, StepPlan]:
@@ -296,10 +296,10 @@ class Localizer:
 
     def _without_hidden(self, landmarks: LandmarkMeasurement | None, prior: Estimate) -> LandmarkMeasurement | None:
         """The measurement, in which landmarks behind what stands still are not shown."""
-        if landmarks is None or not self._standing_pixels.mask.any():
+        if landmarks is None or not self._standing_pixels.share:
             return landmarks
         pose = prior.pose if landmarks.pose is None else landmarks.pose.pose
-        is_hidden = self._standing_pixels.hides(self._bundle.landmarks.points[landmarks.visible], pose)
+        is_hidden = self._standing_pixels.found.hides(self._bundle.landmarks.points[landmarks.visible], pose)
         return replace(landmarks, is_shown=landmarks.is_shown & (landmarks.is_found | ~is_hidden))
 
     def _update_particles(

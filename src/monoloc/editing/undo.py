@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,9 @@ _PARTS: dict[str, Callable[[Any], Any]] = {
 }
 
 
+_FRAMES = "frames"  # beside the parts: number of the provenance's frames that an edit left
+
+
 def with_edit(before: Bundle, after: Bundle, record: EditRecord) -> Bundle:
     """The edited bundle with one more line in its list of edits, and what undoes it.
 
@@ -55,6 +59,8 @@ def with_edit(before: Bundle, after: Bundle, record: EditRecord) -> Bundle:
     if views is not None:
         arrays["views"] = se3_log(views.poses).astype(np.float32)
     changed = {name: _body(before, name) for name in _PARTS if getattr(before, name) != getattr(after, name)}
+    if "provenance" in changed and (left := _frames_before(before, after)) is not None:
+        changed["provenance"]["frames"], changed[_FRAMES] = {}, left
     arrays["manifest"] = np.frombuffer(json.dumps(changed).encode(), np.uint8)
     return replace(after, edits=(*before.edits, Edit(record, encode_arrays(arrays)))[-MOST_ARRAYS:])
 
@@ -84,6 +90,8 @@ def _restored(bundle: Bundle, arrays: _Arrays) -> Bundle:
     references = _before("references", _references(bundle), arrays).view(np.float32).reshape(-1, 3, 6)
     poses, forward, backward = (references[:, column].astype(np.float64) for column in range(3))
     changed = json.loads(arrays["manifest"].tobytes())
+    if (frames := changed.pop(_FRAMES, None)) is not None:
+        changed["provenance"]["frames"] = dict(islice(bundle.provenance.frames.items(), frames))
     return replace(
         bundle,
         original=original,
@@ -103,6 +111,15 @@ def _landmarks_before(bundle: Bundle, arrays: _Arrays) -> Landmarks:
         return Landmarks(points, descriptors)
     found = np.unpackbits(rows[:, 44:], axis=1, count=len(poses)).T.astype(np.bool_)
     return Landmarks(points, descriptors, LandmarkViews(poses, found))
+
+
+def _frames_before(before: Bundle, after: Bundle) -> int | None:
+    """How many of an edited bundle's frames are those from before; None if these are not its first ones.
+
+    Every update adds frames: if each edit kept all from before, bundles would grow with the square of their number.
+    """
+    earlier, later = list(before.provenance.frames.items()), list(after.provenance.frames.items())
+    return len(earlier) if later[: len(earlier)] == earlier else None
 
 
 def _body(bundle: Bundle, name: str) -> Any:

@@ -8,6 +8,7 @@ two differ, the second image decides between them, and this evidence adds up ove
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -64,26 +65,61 @@ class _Compared:
         return motions
 
 
+@dataclass(frozen=True)
+class StandingMask:
+    """What stands still in a camera's images.
+
+    Attributes:
+        camera: of the images.
+        mask: (h, w) bool, in a small image.
+    """
+
+    camera: Camera
+    mask: NDArray[np.bool_]
+
+    def stands(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Whether pixels (N, 2) of the camera's image stand still, (N,)."""
+        height, width = self.mask.shape
+        places = (pixels + 0.5) * np.array([width / self.camera.width, height / self.camera.height])
+        x, y = np.clip(places, 0.0, np.array([width - 1.0, height - 1.0])).astype(np.int64).T
+        return np.asarray(self.mask[y, x])
+
+    def hides(self, points: ArrayLike, pose: FloatArray) -> NDArray[np.bool_]:
+        """Whether points (N, 3) of the world are behind what stands still, seen from a ``T_world_camera``, (N,)."""
+        return self.stands(self.camera.project(transform(invert(pose), points)))
+
+    def without(self, depth: DepthPrediction) -> DepthPrediction:
+        """A depth image that has no depth where pixels stand still."""
+        if not self.mask.any():
+            return depth
+        is_hidden = self.stands(_pixels_of(self.camera, depth.camera)).reshape(depth.depth_m.shape)
+        return replace(depth, depth_m=np.where(is_hidden, np.float32(0.0), depth.depth_m))
+
+
+@lru_cache(maxsize=2)
+def _pixels_of(camera: Camera, depth_camera: Camera) -> FloatArray:
+    """Where a camera sees each pixel of a depth image, (h * w, 2)."""
+    return camera.project(depth_camera.pixel_rays().reshape(-1, 3))
+
+
 class StandingPixels:
     """Follows the evidence that pixels of one camera stand still; call :meth:`update` after every frame.
 
     Attributes:
-        mask: (h, w) bool, what stands still, in a small image. All false where it is less than 3 % of the image, or
-            more than 70 %.
+        found: what stands still. Nothing where it is less than 3 % of the image, or more than 70 %.
         share: of the image that it is, 0..1.
         has_grown: whether the last frame added more than 2 % of the image to it.
     """
 
     def __init__(self, camera: Camera) -> None:
-        self._full, self._camera = camera, camera.of_width(min(_WIDTH, camera.width))
+        self._camera = camera.of_width(min(_WIDTH, camera.width))
         grid = self._camera.of_width(min(_GRID_WIDTH, camera.width))
         self._grid_shape = grid.height, grid.width
         self._rays = grid.pixel_rays().reshape(-1, 3)
         self._grid_px = self._camera.project(self._rays).astype(np.float32)  # (N, 2)
         self._nats = np.zeros((self._camera.height, self._camera.width), dtype=np.float32)
         self._last: _Compared | None = None
-        self._depth_places: tuple[Camera, FloatArray] | None = None  # pixels of the last depth image
-        self.mask = np.zeros(self._nats.shape, dtype=np.bool_)
+        self.found = StandingMask(camera, np.zeros(self._nats.shape, dtype=np.bool_))
         self.has_grown, self.share, self._largest_share = False, 0.0, 0.0
 
     def reset(self) -> None:
@@ -121,26 +157,6 @@ class StandingPixels:
         if last is not None and motions:
             self._compare(gray, last.gray, sources_px[is_far.index(True)])
         self._last = _Compared(gray, landmark_pose, np.eye(4))
-
-    def stands(self, pixels: FloatArray) -> NDArray[np.bool_]:
-        """Whether pixels (N, 2) of the camera's image stand still, (N,)."""
-        height, width = self.mask.shape
-        places = (pixels + 0.5) * np.array([width / self._full.width, height / self._full.height])
-        x, y = np.clip(places, 0.0, np.array([width - 1.0, height - 1.0])).astype(np.int64).T
-        return np.asarray(self.mask[y, x])
-
-    def hides(self, points: ArrayLike, pose: FloatArray) -> NDArray[np.bool_]:
-        """Whether points (N, 3) of the world are behind what stands still, seen from a ``T_world_camera``, (N,)."""
-        return self.stands(self._full.project(transform(invert(pose), points)))
-
-    def without(self, depth: DepthPrediction) -> DepthPrediction:
-        """A depth image that has no depth where pixels stand still."""
-        if not self.mask.any():
-            return depth
-        if self._depth_places is None or self._depth_places[0] != depth.camera:
-            self._depth_places = depth.camera, self._full.project(depth.camera.pixel_rays().reshape(-1, 3))
-        is_hidden = self.stands(self._depth_places[1]).reshape(depth.depth_m.shape)
-        return replace(depth, depth_m=np.where(is_hidden, np.float32(0.0), depth.depth_m))
 
     def _relative(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
         gray = gray_image(color, (self._camera.width, self._camera.height)).astype(np.float32)
@@ -183,8 +199,8 @@ class StandingPixels:
         stands: NDArray[Any] = found.astype(np.uint8)
         stands = cv2.morphologyEx(stands, cv2.MORPH_CLOSE, np.ones((_GAP_PX, _GAP_PX), np.uint8))
         mask = cv2.dilate(stands, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
-        self.mask = mask & (found.mean() >= _LEAST_SHARE) & (mask.mean() <= _MOST_SHARE)
-        self.share = float(self.mask.mean())
+        mask = mask & (found.mean() >= _LEAST_SHARE) & (mask.mean() <= _MOST_SHARE)
+        self.found, self.share = replace(self.found, mask=mask), float(mask.mean())
         self.has_grown = self.share > self._largest_share + _GROWN
         if self.has_grown:
             self._largest_share = self.share

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.obstacles.depth_error import DepthError
+from monoloc.odometry.standing_pixels import StandingMask
 from monoloc.progress import Progress
 from monoloc.run import localize
 from monoloc.sensor_depth import sparse_depth
@@ -32,6 +35,7 @@ _SENSOR_SD, _POSE_SD_M = 0.02, 0.03
 _MOST_MISMATCHES = 0.1  # share of frames whose landmarks fit another lens
 _LEAST_TRACKING_SHARE = 0.5  # of a flight's frames that are *tracking* or *map-changed*
 _LEAST_VIEWS, _APART_M = 5, 0.05  # usable frames of a flight, and pose distance between them: nearer ones err alike
+_PATCH_PX = 15  # to each side of a corner, which its descriptor reads
 _LEAST_WITNESSES = 20  # landmarks outside of the changed region that agree with a frame's pose
 # Of the share of familiar landmarks that the build found, at least found in a frame outside of the changed region.
 _LEAST_FAMILIAR_SHARE = 0.5
@@ -116,7 +120,7 @@ def observe(
     depth_error = DepthError(_SENSOR_SD, 0.0, True) if is_sensor_depth else DepthError.of(bundle)
     states: dict[State, int] = dict(watcher.states)
     refusal, fix = _refusal(watcher) or (None, "")
-    return ObservedFlight(recording.name, watcher.frames, watcher.detected, states, depth_error, refusal, fix)
+    return ObservedFlight(recording.name, watcher.of_room(), watcher.detected, states, depth_error, refusal, fix)
 
 
 def views_of(bundle: Bundle) -> LandmarkViews:
@@ -169,6 +173,7 @@ class _Watcher:
         self.states: Counter[State] = Counter()
         self.left_out: Counter[str] = Counter()  # frames that are not usable, by why
         self.mismatches = self.known = 0
+        self._standing: NDArray[np.bool_] | None = None  # what stands still in the images, as far as it is known
 
     def begin(self, room: Bundle, recording: Recording) -> None:
         pass
@@ -177,6 +182,7 @@ class _Watcher:
         """Take in a frame, and keep it if it is usable."""
         step = frame.step
         self.states[step.state] += 1
+        self._standing = step.standing
         self.mismatches += Reason.CAMERA_MISMATCH in step.reasons
         checksum = fingerprint(frame.color)
         if checksum in self._known:
@@ -219,6 +225,33 @@ class _Watcher:
                 depth=depth,
                 checksum=checksum,
             )
+        )
+
+    def of_room(self) -> list[UsableFrame]:
+        """The usable frames, without what stood still in the images: parts of the drone, or drops on the lens.
+
+        What stands still is known some seconds after the first frame, and stood there before. A corner beside it is
+        described by pixels of both.
+        """
+        if self._standing is None:
+            return self.frames
+        around = 2 * math.ceil(_PATCH_PX * self._standing.shape[1] / self.detected.width) + 1
+        widened = cv2.dilate(self._standing.astype(np.uint8), np.ones((around, around), np.uint8)) > 0
+        standing = StandingMask(self.recording.camera, widened)
+        return [self._of_room(frame, standing) for frame in self.frames]
+
+    def _of_room(self, frame: UsableFrame, standing: StandingMask) -> UsableFrame:
+        points = self._landmarks.points[frame.visible].astype(np.float64)
+        is_shown = frame.is_found | ~standing.hides(points, frame.pose)
+        stands = replace(standing, camera=self.detected).stands(frame.keypoints.pixels)
+        kept = np.flatnonzero(frame.is_landmark | ~stands)
+        return replace(
+            frame,
+            keypoints=frame.keypoints.select(kept),
+            is_landmark=frame.is_landmark[kept],
+            visible=frame.visible[is_shown],
+            is_found=frame.is_found[is_shown],
+            depth=None if frame.depth is None else standing.without(frame.depth),
         )
 
     def _is_apart(self, pose: FloatArray) -> bool:

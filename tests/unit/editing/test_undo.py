@@ -21,9 +21,10 @@ from edit_helpers import (
 )
 from monoloc.array_files import MOST_ARRAYS
 from monoloc.bundle import Bundle
+from monoloc.edit_record import EditRecord
 from monoloc.editing.box import Box
 from monoloc.editing.edits import add, move, remove
-from monoloc.editing.undo import undone
+from monoloc.editing.undo import undone, with_edit
 from monoloc.geometry import make_pose
 from monoloc.landmarks.landmark_map import Landmarks
 from refusals import refuses_setting
@@ -93,6 +94,21 @@ def test_bytes_grow_with_what_is_changed(room: Bundle) -> None:
     much = len(EDITS["remove"](room).edits[-1].undo)
     whole = sum(len(content) for content in stored(room).values())
     assert little < much < 0.6 * whole
+
+
+def test_frames_that_an_update_adds_are_taken_back_and_those_before_are_not_kept_twice(room: Bundle) -> None:
+    """Else a bundle that is updated every night grows with the square of the nights."""
+    checksums = np.random.default_rng(0).integers(0, 2**32, 5000).tolist()
+    frames = {f"frame-{index}": checksum for index, checksum in enumerate(checksums)}
+    known = replace(room, provenance=room.provenance.model_copy(update={"frames": frames}))
+    provenance = known.provenance.model_copy(update={"frames": {**frames, "new": 5}, "brightness": (99.0, 9.0)})
+    record = EditRecord(time="2026-01-02T03:04:05+00:00", kind="update", parameters={}, changes={})
+    updated = with_edit(known, replace(known, provenance=provenance), record)
+    assert len(updated.edits[-1].undo) < 5000
+    assert undone(updated).provenance == known.provenance
+    # Whatever an edit does with frames is taken back.
+    fewer = known.provenance.model_copy(update={"frames": {"new": 5}})
+    assert undone(with_edit(known, replace(known, provenance=fewer), record)).provenance == known.provenance
 
 
 def test_nothing_to_take_back_is_refused(room: Bundle) -> None:

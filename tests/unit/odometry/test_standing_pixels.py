@@ -52,7 +52,7 @@ def after(
 def marked(pixels: StandingPixels) -> NDArray[np.bool_]:
     """The mask at the camera's size."""
     size = (CAMERA.width, CAMERA.height)
-    return cv2.resize(pixels.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    return cv2.resize(pixels.found.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
 
 
 def test_guards_are_found_and_the_room_is_not_taken_for_them() -> None:
@@ -64,9 +64,9 @@ def test_guards_are_found_and_the_room_is_not_taken_for_them() -> None:
 
 def test_without_guards_nothing_stands() -> None:
     pixels = after(RECORDING.color)
-    assert not pixels.mask.any() and pixels.share == 0.0
+    assert not pixels.found.mask.any() and pixels.share == 0.0
     depth = depth_of(0)
-    assert pixels.without(depth) is depth
+    assert pixels.found.without(depth) is depth
 
 
 def test_a_hovering_camera_whose_pose_jumps_marks_nothing() -> None:
@@ -79,7 +79,7 @@ def test_a_hovering_camera_whose_pose_jumps_marks_nothing() -> None:
         return np.clip(image + rng.normal(0.0, 3.0, image.shape), 0, 255).astype(np.uint8)
 
     jumping = after(noisy, landmark_pose=lambda index: POSES[2 * (index % 2)], depth=lambda index: depth_of(0))
-    assert not jumping.mask.any()
+    assert not jumping.found.mask.any()
 
 
 def test_a_person_who_walks_past_a_hovering_camera_does_not_make_the_room_stand() -> None:
@@ -93,14 +93,14 @@ def test_a_person_who_walks_past_a_hovering_camera_does_not_make_the_room_stand(
         return image
 
     followed = after(passed, motion=lambda index: walking, depth=lambda index: depth_of(0))
-    assert followed.mask.any(), "without landmarks, nothing tells"
+    assert followed.found.mask.any(), "without landmarks, nothing tells"
     known = after(passed, lambda index: walking, lambda index: POSES[0], lambda index: depth_of(0))
-    assert not known.mask.any()
+    assert not known.found.mask.any()
 
 
 def test_landmark_poses_replace_an_odometry_that_stands_with_the_guards() -> None:
     standing = after(guarded, motion=lambda index: Motion(np.eye(4)))
-    assert not standing.mask.any()
+    assert not standing.found.mask.any()
     known = after(guarded, motion=lambda index: Motion(np.eye(4)), landmark_pose=lambda index: POSES[index])
     assert marked(known)[GUARDS > 0].mean() > 0.9
 
@@ -115,7 +115,7 @@ def test_after_a_gap_the_next_image_is_not_compared_with_the_last_one() -> None:
     pixels = StandingPixels(CAMERA)
     for index in range(IMAGES):
         pixels.update(guarded(index), None, depth_of(index), None)
-    assert not pixels.mask.any()
+    assert not pixels.found.mask.any()
 
 
 def test_depth_has_none_where_pixels_stand_whatever_its_camera() -> None:
@@ -123,8 +123,8 @@ def test_depth_has_none_where_pixels_stand_whatever_its_camera() -> None:
     for camera in (CAMERA, CAMERA.resized(64, 48), CAMERA.cropped(40, 30, 240, 200)):
         depth = DepthPrediction(np.full((camera.height, camera.width), 2.0, np.float32), camera)
         corners = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=2).reshape(-1, 2)
-        stands = pixels.stands(CAMERA.project(camera.rays(corners.astype(np.float32))))
-        hidden = pixels.without(depth).depth_m.ravel() == 0.0
+        stands = pixels.found.stands(CAMERA.project(camera.rays(corners.astype(np.float32))))
+        hidden = pixels.found.without(depth).depth_m.ravel() == 0.0
         np.testing.assert_array_equal(hidden, stands)
         assert 0.02 < hidden.mean() < 0.5
 
@@ -158,4 +158,4 @@ def test_a_mask_of_most_of_the_image_is_not_used() -> None:
         return np.concatenate([PICTURE[:, :part], RECORDING.color(index)[:, part:]], axis=1)
 
     pixels = after(covered, landmark_pose=lambda index: POSES[index])
-    assert not pixels.mask.any()
+    assert not pixels.found.mask.any()

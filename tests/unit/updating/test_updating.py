@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -111,6 +112,30 @@ def test_one_flight_proposes_nothing_and_an_unchanged_room_loses_nothing() -> No
     unchanged = evidence_of(1, 2, room=Room())
     kinds = {each.kind for each in proposals(unchanged, mapped())}
     assert kinds <= {"add landmarks"}
+
+
+def test_parts_of_the_drone_in_the_image_show_no_change_of_the_room() -> None:
+    """They are known from the twentieth frame or so on, and were in the images before."""
+    width, height = SMALL_CAMERA.width, SMALL_CAMERA.height
+    guards = np.zeros((height, width), np.uint8)
+    for corner in ((0, height), (width, height)):
+        cv2.circle(guards, corner, 3 * width // 10, 1, -1)
+    colors = np.random.default_rng(0).integers(0, 256, (8, 10, 3), dtype=np.uint8)
+    picture = cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST)
+    evidence = Evidence.none(mapped())
+    for number in (1, 2):
+        recording = RoomRecording(Room(), make_path(40, 0.03 + 0.02 * number, 8.0), SMALL_CAMERA)
+        recording.name = f"guarded-{number}"
+        seen = observed(
+            Altered(
+                recording,
+                color=lambda color: np.where(guards[..., None] > 0, picture, color),
+                depth=lambda depth_m: np.where(guards > 0, np.float32(0.3), depth_m),
+            )
+        )
+        assert seen.refusal is None
+        evidence = evidence.after_flight(mapped(), seen, True, np.random.default_rng(0))
+    assert {each.kind for each in proposals(evidence, mapped())} <= {"add landmarks"}
 
 
 def test_an_update_is_edits_that_can_be_undone() -> None:
