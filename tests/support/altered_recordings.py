@@ -77,8 +77,12 @@ def rolled(poses: FloatArray, places: int) -> FloatArray:
     return make_pose(quaternion_to_rotation(quaternions), poses[:, :3, 3])
 
 
+def with_positions(poses: FloatArray, positions: FloatArray) -> FloatArray:
+    return make_pose(poses[:, :3, :3], positions)
+
+
 def scaled(poses: FloatArray, factor: float) -> FloatArray:
-    return make_pose(poses[:, :3, :3], factor * poses[:, :3, 3])
+    return with_positions(poses, factor * poses[:, :3, 3])
 
 
 def late(poses: FloatArray, frames: int) -> FloatArray:
@@ -123,6 +127,19 @@ POSES = {
     "robot": Alteration(lambda T: T @ ROBOT, r"a robot's axes \(x forward, z up\)", "--fix-poses robot"),
     "Unity": Alteration(lambda T: UP @ T @ UP, "left-handed world .Unity", "--fix-poses left-handed"),
     "z mirrored": Alteration(lambda T: AWAY @ T @ AWAY, "left-handed world .z", "--fix-poses left-handed-z"),
+    "y and z swapped": Alteration(
+        lambda T: with_positions(T, T[:, [0, 2, 1], 3]), "positions stored as x, z, y", "--fix-poses positions:xzy"
+    ),
+    "axes rolled": Alteration(
+        lambda T: with_positions(T, T[:, [2, 0, 1], 3] * [1.0, 1.0, -1.0]),
+        "positions stored as z, x, -y",
+        "--fix-poses positions:zx-y",
+    ),
+    "z against the others": Alteration(
+        lambda T: with_positions(T, T[:, :3, 3] * [1.0, 1.0, -1.0]),
+        "positions stored as x, y, -z",
+        "--fix-poses positions:xy-z",
+    ),
     "millimetres": Alteration(lambda T: scaled(T, 1000.0), "millimetres", "--fix-poses millimetres"),
     "centimetres": Alteration(lambda T: scaled(T, 100.0), "centimetres", "--fix-poses centimetres"),
     "late": Alteration(lambda T: late(T, 4), "poses late by 4 frames", "--fix-poses late:4"),

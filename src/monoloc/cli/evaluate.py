@@ -18,8 +18,9 @@ from monoloc.cli.common import (
     print_json,
     print_table,
     refuse_frames,
+    warn,
 )
-from monoloc.cli.pose_warning import warn_of_poses
+from monoloc.cli.pose_warning import other_reading, warn_of_poses
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
@@ -83,6 +84,9 @@ def evaluate(
         relative = relative_pose_errors(estimated, true, 1)
         metrics["rpe_rmse_m"] = float(np.sqrt(np.mean(relative.position_m**2)))
         metrics["rpe_rot_rmse_deg"] = float(np.rad2deg(np.sqrt(np.mean(relative.rotation_rad**2))))
+    fix = "convert them" if _is_trajectory(Path(truth)) else "give {}"
+    if fix_poses is None and (other := other_reading(estimated, true, fix)) is not None:
+        warn(trajectory, other)
     if json:
         print_json(metrics)
     else:
@@ -90,11 +94,15 @@ def evaluate(
         print_table(f"{trajectory.name} against {truth}", ["figure", "value"], rows)
 
 
+def _is_trajectory(path: Path) -> bool:
+    return path.is_file() and path.suffix in {".txt", ".tum"}
+
+
 def _read_truth(
     truth: str, frames: str, fix_poses: str | None, fix_depth: str | None
 ) -> tuple[FloatArray, FloatArray]:
     path = Path(truth)
-    if path.is_file() and path.suffix in {".txt", ".tum"}:
+    if _is_trajectory(path):
         refuse_frames(frames, "a trajectory")
         for option, fix in (("--fix-poses", fix_poses), ("--fix-depth", fix_depth)):
             if fix is not None:

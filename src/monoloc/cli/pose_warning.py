@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 from monoloc.cli.common import warn
-from monoloc.io.recording import Recording
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.recording_check.pose_check import check_poses
+from monoloc.recording_check.world_agreement import agreeing_reading
 
 # In 59 windows of 50 to 500 frames of two rooms, right poses gave no warning with so many pairs of frames, and each
 # of 15 conventions, in the kitchen, was named. It takes about a second.
 _PAIRS = 14
 # Fewer frames decide only by a large error: ten of the kitchen, with right poses, had 14 %, and 6 % at another scale.
 _LEAST_FRAMES = 50
+_COMPARED = 24  # frames whose poses are compared with estimated ones
 _LARGE = 0.25  # share of the corners' motion; wrong conventions gave 0.48 and more
+
+
+def other_reading(estimated: FloatArray, true: FloatArray, fix: str = "give {}") -> str | None:
+    """A sentence that says as what true poses (N, 4, 4) agree with the estimated ones; None if they do, or never do.
+
+    Args:
+        fix: what to do, with a place for the option.
+    """
+    chosen = evenly_spaced(len(estimated), _COMPARED)
+    reading = agreeing_reading(estimated[chosen], true[chosen])
+    if reading is None:
+        return None
+    return f"the true poses agree with the estimated ones as {reading.what}; {fix.format(reading.option)}"
 
 
 def warn_of_poses(recording: Recording) -> None:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from monoloc.bundle import Bundle
+from monoloc.cli.pose_warning import other_reading
 from monoloc.evaluation.consistency import consistency
+from monoloc.io.corrected import without_pose_fix
 from monoloc.run import Run
-from monoloc.supervision.state import Reason
+from monoloc.supervision.state import VOUCHED_FOR, Reason
 
 _MISMATCH_SHARE = 0.1  # of the frames
 _LEAST_COVERAGE = 0.5  # of the errors, by the covariance that states 95 %
@@ -30,10 +34,22 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
     if standing := metrics["standing_share_median"]:
         problem = f"{standing:.0%} of the image stands still in half of the frames or more, and is left out"
         yield f"{problem}; clean the lens, or move the camera away from parts of the drone"
-    if silent := metrics.get("silent_frames_30cm"):
-        yield f"{silent} of {frames} frames are *tracking* or *map-changed*, and more than 30 cm off"
-    coverage = metrics.get("coverage_95")
-    if isinstance(coverage, float) and coverage < _LEAST_COVERAGE:
+    yield from _of_errors(run, metrics)
+
+
+def _of_errors(run: Run, metrics: Mapping[str, object]) -> Iterator[str]:
+    silent, coverage = metrics.get("silent_frames_30cm"), metrics.get("coverage_95")
+    is_poor = isinstance(coverage, float) and coverage < _LEAST_COVERAGE
+    is_as_stored = without_pose_fix(run.recording) is None
+    if run.truth is not None and is_as_stored and (silent or is_poor):
+        tracked = np.flatnonzero([state in VOUCHED_FOR for state in run.states])
+        other = other_reading(run.poses[tracked], run.truth[tracked]) if len(tracked) else None
+        if other is not None:
+            yield other
+            return
+    if silent:
+        yield f"{silent} of {len(run.poses)} frames are *tracking* or *map-changed*, and more than 30 cm off"
+    if is_poor:
         problem = f"{coverage:.0%} of the errors lie within the stated 95 % ellipsoid"
         yield f"{problem}; {_what_to_use(run)}"
 

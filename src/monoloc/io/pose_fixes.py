@@ -6,8 +6,9 @@ A name stands for what the poses are, not for what is done to them: ``opengl`` c
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 
@@ -53,6 +54,17 @@ def _scaled(factor: float) -> PoseFix:
     return convert
 
 
+def _with_axes(axes: tuple[int, ...], signs: tuple[float, ...]) -> PoseFix:
+    """Of poses whose positions have the axes of another world than their rotations: ours, in the stored order."""
+
+    def convert(poses: FloatArray) -> FloatArray:
+        positions = np.empty((len(poses), 3))
+        positions[:, axes] = poses[:, :3, 3] * signs
+        return make_pose(poses[:, :3, :3], positions)
+
+    return convert
+
+
 @dataclass(frozen=True)
 class Convention:
     """What poses are.
@@ -87,10 +99,21 @@ UNITS = {
 }
 CONVENTIONS = QUATERNIONS | DIRECTIONS | AXES | UNITS
 
+
+def _positions() -> Iterator[tuple[str, Convention]]:
+    for axes, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        words = ["-" * (sign < 0.0) + "xyz"[axis] for axis, sign in zip(axes, signs, strict=True)]
+        what = f"positions stored as {', '.join(words)}"
+        yield f"positions:{''.join(words)}", Convention(what, _with_axes(axes, signs))
+
+
+_AS_STATED = "positions:xyz"
+POSITIONS = {name: convention for name, convention in _positions() if name != _AS_STATED}
+
 _WITH_NUMBER = re.compile(r"(?:(scaled)|(late|early)):(\d+(?:\.\d+)?(?:e-?\d+)?)(s?)")
 _FIX = (
-    f"names are {', '.join(CONVENTIONS)}, scaled:FACTOR, late:FRAMES and early:FRAMES, or in seconds as late:0.2s, "
-    "with commas between them"
+    f"names are {', '.join(CONVENTIONS)}, positions:AXES as positions:xz-y, scaled:FACTOR, late:FRAMES and "
+    "early:FRAMES, or in seconds as late:0.2s, with commas between them"
 )
 _MOST_LATE_S = 10.0
 
@@ -120,8 +143,8 @@ def parse_pose_fixes(text: str) -> PoseFixes:
     late, late_s = 0, 0.0
     for name in map(str.strip, text.split(",")):
         numbered = _WITH_NUMBER.fullmatch(name)
-        if name in CONVENTIONS:
-            steps.append(CONVENTIONS[name].convert)
+        if (convention := CONVENTIONS.get(name) or POSITIONS.get(name)) is not None:
+            steps.append(convention.convert)
         elif numbered is None or not _is_usable(numbered):
             raise SettingError("fix_poses", f"is {text!r}, and {name!r} is no fix", _FIX)
         elif numbered[1]:

@@ -17,7 +17,7 @@ from monoloc.io.upright import Turned
 from monoloc.recording_check.evidence import Evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
 from monoloc.recording_check.pose_delay import find_small_delay, fit_delay
-from monoloc.recording_check.pose_hypotheses import Hypothesis, as_stated, conventions, delays
+from monoloc.recording_check.pose_hypotheses import Hypothesis, as_stated, conventions, delays, positions
 from monoloc.recording_check.wide_pairs import match_wide
 
 LEAST_PAIRS = 8
@@ -76,6 +76,7 @@ def explain(evidence: Evidence, share: float) -> Explanation | None:
         (*exact, *_fitted(evidence)),
         (explanation for reading in readings for explanation in _exact(reading)),
         _in_another_scale(evidence),
+        (_by_hypothesis(evidence, hypothesis) for hypothesis in positions()),
         (_by_hypothesis(evidence, hypothesis) for hypothesis in conventions(many=True)),
     )
     found = (_best(list(explanations), _IMPROVEMENT * share) for explanations in stages)

@@ -26,6 +26,7 @@ from monoloc.recording_check.motion_coverage import MotionCoverage, cover
 from monoloc.recording_check.pose_check import PoseCheck, compare_poses
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
 from monoloc.recording_check.time_stamps import TimeCheck, check_times
+from monoloc.recording_check.world_agreement import AGREEING_SHARE
 
 Level = Literal["good", "warning", "bad"]
 
@@ -39,7 +40,6 @@ _LEAST_FOUND_SHARE = 0.3  # of the frames, in which landmarks of the map are fou
 _SAME_WORLD_M, _SAME_WORLD_RAD = 0.1, np.deg2rad(3.0)
 _FOCAL_ERROR = 0.04  # relative, of a focal length against a map's or the build's, that moves a pose
 _BY_IMAGES = "monoloc build finds them from the images (extra sfm): give it --scale; localising needs none"
-_AGREEING_SHARE = 0.7  # of the frames with landmarks, that are one transform away
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def inspect_recording(
         *_warned("images", find_repeats(recording), LEAVE_OUT),
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *_warned("depth between frames", None if is_explained else find_disagreement(recording), CHECK_DEPTH),
-        *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
+        *(_of_poses(poses) if poses is not None else _without_poses(recording, agreement)),
         *(() if delay is None else (Finding("pose times", "warning", delay[0], f"give {delay[1]}"),)),
         *(
             Finding(of.name, "warning" if of.remark else "good", of.value, of.remark)
@@ -223,13 +223,18 @@ def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> It
     yield Finding("depth", "warning", value, of_images if is_from_images else of_sensor)
 
 
-def _without_poses(recording: Recording, bundle: Bundle | None) -> Iterator[Finding]:
-    if recording.poses is None and bundle is not None:
+def _without_poses(recording: Recording, agreement: MapAgreement | None) -> Iterator[Finding]:
+    """Of a recording without poses, or whose poses there is no depth to compare with."""
+    if recording.poses is None and agreement is not None:
         yield Finding("poses", "good", "none", "localising needs none")
     elif recording.poses is None:
         yield Finding("poses", "warning", "none", _BY_IMAGES)
+    elif agreement is not None:
+        if agreement.agreeing is None:
+            yield Finding("poses", "warning", "not compared", "there is no depth, and few frames show landmarks")
     else:
-        yield Finding("poses", "warning", "not compared", "give --cloud, since there is no depth to compare with")
+        both = "or leave the poses out, and a build finds poses and depth"
+        yield Finding("depth", "bad", "none", f"give a cloud of the room (--cloud), {both}")
 
 
 def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
@@ -282,8 +287,11 @@ def _is_off(ratio: LensRatio) -> bool:
 def _of_world(agreement: MapAgreement, agreeing: int) -> Finding:
     assert agreement.offset_m is not None and agreement.offset_rad is not None
     offset = f"{100.0 * agreement.offset_m:.0f} cm, {np.rad2deg(agreement.offset_rad):.0f} degrees"
-    if agreeing < _AGREEING_SHARE * agreement.found:
+    if agreeing < AGREEING_SHARE * agreement.found:
         value = f"{agreeing} of {agreement.found} frames agree"
+        reading = agreement.reading
+        if reading is not None:
+            return Finding("world", "bad", value, f"they do as {reading.what}; give {reading.option}")
         return Finding("world", "bad", value, "poses of the recording do not fit the map by any rigid transform")
     if agreement.offset_m < _SAME_WORLD_M and agreement.offset_rad < _SAME_WORLD_RAD:
         return Finding("world", "good", f"that of the map, to {offset}")

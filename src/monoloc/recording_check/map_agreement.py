@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from monoloc.bundle import Bundle
-from monoloc.geometry import FloatArray, invert, make_pose, nearest_rotation, rotation_angle
+from monoloc.geometry import FloatArray, rotation_angle
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.recording_check.pose_hypotheses import Reading
+from monoloc.recording_check.world_agreement import LEAST_FRAMES, agreeing_reading, common_transform
 from monoloc.robust_statistics import robust_sd
 from monoloc.supervision.camera_check import tells_aspect, tells_focal
 
 _FRAMES = 24
-_SAME_M, _SAME_RAD = 0.15, np.deg2rad(6.0)  # poses of two frames that say the same of the two worlds
-LEAST_FOUND = 4
+LEAST_FOUND = LEAST_FRAMES
 """Number of frames in which landmarks must be found."""
 
 
@@ -46,6 +47,7 @@ class MapAgreement:
         T_map_world: that transform, (4, 4), from the recording's world to the map's; None if unknown.
         focal: true over stated focal length by the landmarks, relative to the build's; None if unknown.
         aspect: true over stated aspect, the focal length along y over that along x, by the landmarks.
+        reading: by which poses that do not agree as stated do; None if there is none.
     """
 
     frames: int
@@ -54,6 +56,7 @@ class MapAgreement:
     T_map_world: FloatArray | None = None
     focal: LensRatio | None = None
     aspect: LensRatio | None = None
+    reading: Reading | None = None
 
     @property
     def offset_m(self) -> float | None:
@@ -82,20 +85,7 @@ def compare_with_map(bundle: Bundle, recording: Recording) -> MapAgreement:
     if recording.poses is None or len(found) < LEAST_FOUND:
         return MapAgreement(len(chosen), len(found), focal=focal, aspect=aspect)
     T_map_camera = np.stack([place.pose for _, place in found])
-    agreeing, T_map_world = _common_transform(T_map_camera, recording.poses[[index for index, _ in found]])
-    return MapAgreement(len(chosen), len(found), agreeing, T_map_world, focal, aspect)
-
-
-def _common_transform(T_map_camera: FloatArray, T_world_camera: FloatArray) -> tuple[int, FloatArray]:
-    """Number of frames (of N) that agree with the most common ``T_map_world``, and that transform, (4, 4).
-
-    Frames agree if their poses in the map do: a transform's translation depends on how far off the origins are.
-    """
-    candidates = T_map_camera @ invert(T_world_camera)
-    difference = invert(T_map_camera)[None] @ candidates[:, None] @ T_world_camera[None]
-    is_near = np.linalg.norm(difference[..., :3, 3], axis=-1) < _SAME_M
-    agree = is_near & (rotation_angle(difference[..., :3, :3]) < _SAME_RAD)
-    best = agree[int(np.argmax(agree.sum(axis=1)))]
-    rotation = nearest_rotation(candidates[best, :3, :3].sum(axis=0))
-    shifts = T_map_camera[best, :3, 3] - T_world_camera[best, :3, 3] @ rotation.T
-    return int(best.sum()), make_pose(rotation, np.median(shifts, axis=0))
+    T_world_camera = recording.poses[[index for index, _ in found]]
+    agreeing, T_map_world = common_transform(T_map_camera, T_world_camera)
+    reading = agreeing_reading(T_map_camera, T_world_camera)
+    return MapAgreement(len(chosen), len(found), agreeing, T_map_world, focal, aspect, reading)

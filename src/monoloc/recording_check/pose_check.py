@@ -26,7 +26,7 @@ from monoloc.recording_check.pose_jumps import PoseJump, find_jumps
 # Median error, share of the corners' motion. On RedKitchen (0:200), whose poses have 2 cm of noise, it is 0.07, on
 # the desk (0:350) 0.08; later parts of both have up to 0.14. There, wrong conventions gave 0.48 and more, poses one
 # frame late 0.17 and 0.22, a focal length or depth 20 % off 0.12 to 0.22, and independent noise of 2 cm and 1 degree
-# over the whole recordings 0.45 and 0.90.
+# over the whole recordings 0.45 and 0.90. Positions with other axes than the rotations gave 0.15 and more.
 _RIGHT = 0.12  # with at most this, no other reading is tried
 _POOR = 0.25  # without an explanation, a larger error gives a warning
 _HOPELESS = 0.5  # as large as that of wrong conventions

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from monoloc.geometry import FloatArray
-from monoloc.io.pose_fixes import AXES, DIRECTIONS, QUATERNIONS, UNITS, Convention
+from monoloc.io.pose_fixes import AXES, DIRECTIONS, POSITIONS, QUATERNIONS, UNITS, Convention
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.reprojection import Reprojection
 
@@ -37,25 +37,66 @@ def as_stated(evidence: Evidence) -> Reprojection:
     return evidence.reproject(evidence.relative(evidence.poses), evidence.depth_m(evidence.poses))
 
 
-def conventions(many: bool = False) -> Iterator[Hypothesis]:
-    """Single conventions and pairs of them, or three and more at once, in the order in which they are undone."""
+@dataclass(frozen=True)
+class Reading:
+    """Poses of other conventions than stated.
+
+    Attributes:
+        names: of ``--fix-poses``, in the order in which they are undone.
+        conventions: of these names.
+    """
+
+    names: tuple[str, ...]
+    conventions: tuple[Convention, ...]
+
+    @property
+    def what(self) -> str:
+        """For messages: "the poses fit as ..."."""
+        return " and ".join(convention.what for convention in self.conventions)
+
+    @property
+    def option(self) -> str:
+        return f"--fix-poses {','.join(self.names)}"
+
+    def convert(self, poses: FloatArray) -> FloatArray:
+        """``T_world_camera`` (N, 4, 4) of such poses."""
+        for convention in self.conventions:
+            poses = convention.convert(poses)
+        return poses
+
+
+def readings() -> Iterator[Reading]:
+    """Conventions, any number at once, and positions with other axes than the rotations."""
     groups = (QUATERNIONS, DIRECTIONS, AXES, UNITS)
     choices: list[list[tuple[str, Convention | None]]] = [[("", None), *group.items()] for group in groups]
     for combination in product(*choices):
         chosen = {name: convention for name, convention in combination if convention is not None}
-        if chosen and (len(chosen) > _FEW) == many:
-            yield _as_conventions(chosen)
+        if chosen:
+            yield Reading(tuple(chosen), tuple(chosen.values()))
+    for name, convention in POSITIONS.items():
+        yield Reading((name,), (convention,))
 
 
-def _as_conventions(chosen: dict[str, Convention]) -> Hypothesis:
+def conventions(many: bool = False) -> Iterator[Hypothesis]:
+    """Single conventions and pairs of them, or three and more at once, in the order in which they are undone."""
+    for reading in readings():
+        if reading.names[0] not in POSITIONS and (len(reading.names) > _FEW) == many:
+            yield _by_reading(reading)
+
+
+def positions() -> Iterator[Hypothesis]:
+    """Positions with the axes of another world than the rotations, as where only one of them was converted."""
+    for reading in readings():
+        if reading.names[0] in POSITIONS:
+            yield _by_reading(reading)
+
+
+def _by_reading(reading: Reading) -> Hypothesis:
     def measure(evidence: Evidence) -> Reprojection:
-        poses: FloatArray = evidence.poses
-        for convention in chosen.values():
-            poses = convention.convert(poses)
+        poses = reading.convert(evidence.poses)
         return evidence.reproject(evidence.relative(poses), evidence.depth_m(poses))
 
-    what = " and ".join(convention.what for convention in chosen.values())
-    return Hypothesis(what, f"--fix-poses {','.join(chosen)}", len(chosen), measure)
+    return Hypothesis(reading.what, reading.option, len(reading.names), measure)
 
 
 def delays() -> Iterator[Hypothesis]:

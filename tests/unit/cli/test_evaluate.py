@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import synthetic_recordings as synthetic
+from altered_recordings import POSES, turning_path
 from cli_helpers import json_of, refused, succeeds
+from monoloc.cli.main import invoke
 from monoloc.io.tum_trajectory import write_tum
 
 
@@ -36,6 +38,17 @@ def test_matched_unmatched_and_missed_poses_are_counted(
     assert metrics["rot_rmse_deg"] == pytest.approx(0.0, abs=1e-5)
     assert metrics["rpe_rmse_m"] > 0.0
     assert re.search(r"missed +│ +1 ", succeeds(capfd, "evaluate", "trajectory.txt", truth))
+
+
+def test_true_poses_of_another_convention_are_named(capfd: pytest.CaptureFixture[str], here: Path) -> None:
+    poses, times = turning_path(40), np.arange(40) / 15.0
+    write_tum(here / "trajectory.txt", times, poses)
+    write_tum(here / "truth.txt", times, POSES["w first"].poses(poses))
+    json_of(capfd, "evaluate", "trajectory.txt", "truth.txt")
+    assert invoke(["evaluate", "trajectory.txt", "truth.txt"]) == 0
+    said = "trajectory.txt: the true poses agree with the estimated ones as quaternions with w first; convert them"
+    assert said in capfd.readouterr().err
+    json_of(capfd, "evaluate", "trajectory.txt", "trajectory.txt")
 
 
 def test_a_trajectory_of_a_higher_rate_has_no_errors_of_pairing(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from altered_recordings import POSES, Altered, turning_path
 from monoloc.bundle import Bundle
 from monoloc.cli.run_doubts import doubts_of
 from monoloc.edit_record import Edit, EditRecord
@@ -74,6 +75,18 @@ def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
     assert doubt.startswith(f"{problem}; leave out --start if it may be wrong, and do not use these poses,")
     (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances, start=None), room)
     assert doubt.startswith(f"{problem}; do not use these poses,")
+
+
+def test_true_poses_of_another_convention_are_named_in_place_of_the_runs(room: Bundle) -> None:
+    poses = turning_path(16)
+    recording = RoomRecording(Room(), poses)
+    flown = localize(room, recording, Start(poses[0], 0.01, 0.01), np.random.default_rng(0), NoProgress())
+    stored = Altered(recording, poses=POSES["w first"].poses(poses))
+    wrong = replace(flown, recording=stored, states=["tracking"] * 16)
+    (doubt,) = doubts(wrong, room)
+    assert doubt == (
+        "the true poses agree with the estimated ones as quaternions with w first; give --fix-poses w-first"
+    )
 
 
 def test_a_start_that_was_wrong_until_the_camera_was_found_is_said(room: Bundle, run: Run) -> None:

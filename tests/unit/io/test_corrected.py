@@ -78,7 +78,21 @@ def test_delays_that_no_poses_have_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["opengl,sideways", "late:1.5", "scaled:0", "late:", "", "late:0s", "late:-1s", "late:nans", "scaled:2s"]
+    "text",
+    [
+        "positions:xyz",
+        "positions:xxy",
+        "positions:x,z,y",
+        "opengl,sideways",
+        "late:1.5",
+        "scaled:0",
+        "late:",
+        "",
+        "late:0s",
+        "late:-1s",
+        "late:nans",
+        "scaled:2s",
+    ],
 )
 def test_unknown_fixes_are_refused(text: str) -> None:
     refuses_setting(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from altered_recordings import Altered, with_focal
+from altered_recordings import POSES, Altered, with_focal
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.bundle import Bundle
 from monoloc.geometry import make_pose, so3_exp
@@ -48,6 +48,26 @@ def test_another_world_is_one_transform_away(bundle: Bundle, recording: RoomReco
     assert findings["poses"].level == "good"
     assert findings["world"].level == "warning"
     assert findings["world"].value in {f"one rigid transform away: {cm} cm, 40 degrees" for cm in range(196, 205)}
+
+
+@pytest.mark.parametrize("has_depth", [True, False])
+def test_poses_of_another_convention_are_named_by_the_map(
+    bundle: Bundle, recording: RoomRecording, has_depth: bool
+) -> None:
+    """Without depth, the map alone tells."""
+    assert recording.poses is not None
+    opengl = Altered(recording, poses=POSES["OpenGL"].poses(recording.poses), has_depth=has_depth)
+    findings = {each.name: each for each in inspect_recording(opengl, bundle=bundle).findings}
+    assert ("world" in findings) != has_depth  # else the poses have been explained already
+    remark = findings["poses" if has_depth else "world"].remark
+    assert remark.endswith("as camera axes of OpenGL (y up, z backward); give --fix-poses opengl")
+
+
+def test_without_depth_a_build_needs_a_cloud(recording: RoomRecording) -> None:
+    """The level is that of a build, which would refuse it."""
+    inspection = inspect_recording(Altered(recording, has_depth=False))
+    (depth,) = [each for each in inspection.findings if each.name == "depth"]
+    assert inspection.level == depth.level == "bad" and depth.remark.startswith("give a cloud of the room (--cloud)")
 
 
 @pytest.mark.slow
