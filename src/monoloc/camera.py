@@ -18,6 +18,7 @@ from monoloc.distortion import COEFFICIENTS, MODELS, WIDEST_RAD, DistortionModel
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 
+_LEAST_PX, _LEAST_FOCAL_PX = 32, 4.0  # of an image with so many pixels a side; a smaller one is a share of it
 _MOST_PX = 1 << 15
 _MIN_DEPTH_M = 0.1  # nearer points are not visible
 _BORDER_RAYS = 9  # along a side; the widest of them bound the field of view
@@ -75,6 +76,9 @@ class Camera:
             )
         if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
             raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
+        if max(self.fx, self.fy) < _LEAST_FOCAL_PX and min(self.width, self.height) >= _LEAST_PX:
+            problem = f"is ({self.fx:g}, {self.fy:g}) for images of {self.width}x{self.height}"
+            raise SettingError("camera.fx/fy", problem, "give them in pixels, not as shares of the image")
         may_be_outside = self.is_window and np.isfinite(self.cx) and np.isfinite(self.cy)
         if not may_be_outside and not _is_inside(self.cx, self.cy, self.width, self.height):
             raise SettingError(

@@ -414,6 +414,12 @@ LIVE = ("fly", "room.monoloc", "camera:987")
             "lies in the folder of --record",
             "another place",
         ),
+        (
+            ("fly", "room.monoloc", "flight", "--out", "new.csv", "--record", "new.csv"),
+            "--record",
+            "new.csv is what --out writes",
+            "another folder",
+        ),
         (("replay", "log", "--out", "poses.txt"), "--out", "poses.txt would be a table by another name", "NAME.csv"),
         (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),
         (("replay", "flight"), "flight", "is no recorded flight", "monoloc fly --record"),

@@ -250,6 +250,7 @@ def test_depth_of_another_size_is_refused():
     [
         ({"width": 0}, "camera.width/height"),
         ({"fx": -1.0}, "camera.fx/fy"),
+        ({"fx": 0.82, "fy": 1.09}, "camera.fx/fy"),  # shares of the image
         ({"fy": np.nan}, "camera.fx/fy"),
         ({"cx": 900.0}, "camera.cx/cy"),
         ({"cy": np.nan}, "camera.cx/cy"),

@@ -57,8 +57,11 @@ def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]
         check_apart(flight.record, "--record", inputs)
         if flight.record.exists() and any(flight.record.iterdir()):
             raise SettingError("--record", f"{flight.record} is not empty", "name a new folder for this flight")
+        record = target_of(flight.record)
         for option, path in files.items():  # the recording has a poses.csv of its own
-            if path is not None and target_of(flight.record) in target_of(path).parents:
+            if path is not None and record == target_of(path):
+                raise SettingError("--record", f"{flight.record} is what {option} writes", "name another folder")
+            if path is not None and record in target_of(path).parents:
                 raise SettingError(option, f"{path} lies in the folder of --record", "name another place")
 
 

@@ -203,7 +203,14 @@ class DatasetDescription:
         """Files of a pattern, one per frame; raises DataError if one is missing."""
         files = self.paths(key, indices)
         for file in files:
-            require_file(file, f"restore it, or correct {key} or count in {FILE_NAME}")
+            try:
+                require_file(file, f"restore it, or correct {key} or count in {FILE_NAME}")
+            except DataError as error:
+                first = next(iter(self._indices_of(key)), indices[0])
+                if file == files[0] and first > indices[0]:
+                    fix = f"write start = {first} in {FILE_NAME}, where the files begin"
+                    raise DataError(file, "is missing", fix) from error
+                raise
         return files
 
     def camera(self) -> Camera:

@@ -98,6 +98,7 @@ def read_rows(path: Path, columns: int, meaning: str, *, optional: int = 0) -> F
         expected = (len(rows[0]),) if rows else (columns, columns + optional)
         if len(row) not in expected:
             separators = ", separated by spaces, with decimal points" if "," in line or ";" in line else ""
+            separators += "; a heading begins with #" if not rows and not row else ""
             problem = f"line {number} is not {expected[0]} numbers"
             raise DataError(path, problem, f"each line holds: {meaning}{separators}")
         rows.append(row)

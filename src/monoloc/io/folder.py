@@ -177,7 +177,7 @@ def _poses_of_one_file(
             path,
             problem,
             "write one line for each frame, with nan in place of an unknown pose's seven numbers; or give rate_hz "
-            f"instead of poses in {FILE_NAME}, for localisation only",
+            f"instead of poses in {FILE_NAME}, and a build finds the poses",
         )
     return times_s, known, poses
 

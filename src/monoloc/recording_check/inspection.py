@@ -197,8 +197,8 @@ def light_findings(images: ImageQuality, built: tuple[float, float] | None) -> I
 
 def _of_motion(motion: MotionCoverage) -> Iterator[Finding]:
     value = f"{motion.path_m:.1f} m, within {motion.extent_m:.1f} m, turned by {np.rad2deg(motion.turned_rad):.0f}°"
-    remark = "" if motion.problem is None else f"{motion.problem}; walk through the room"
-    yield Finding("motion", "warning" if remark else "good", value, remark)
+    problem = motion.problem
+    yield Finding("motion", "good" if problem is None else "warning", value, problem or "")
 
 
 def _warned(name: str, found: str | None, remark: str) -> Iterator[Finding]:

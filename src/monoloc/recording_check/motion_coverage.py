@@ -9,6 +9,7 @@ import numpy as np
 from monoloc.geometry import FloatArray, invert, rotation_angle
 
 _HOVERING_M = 0.3  # extent of positions that show no parallax
+_MOST_EXTENT_M = 100.0  # of a walk indoors; two metres in centimetres are more
 _TURNING_RAD = np.deg2rad(60.0)
 
 
@@ -28,12 +29,15 @@ class MotionCoverage:
 
     @property
     def problem(self) -> str | None:
-        """Why the motion shows too little."""
+        """Why the motion shows too little, or cannot be right, and what to do; None if nothing is wrong."""
+        if self.extent_m > _MOST_EXTENT_M:
+            problem = f"positions extend over {self.extent_m:.0f} m"
+            return f"{problem}; if their unit is another one, give --fix-poses millimetres or centimetres"
         if self.extent_m >= _HOVERING_M:
             return None
-        if self.turned_rad > _TURNING_RAD:
-            return "the camera only turns on the spot"
-        return "the camera hovers in one place"
+        on_the_spot = self.turned_rad > _TURNING_RAD
+        problem = "the camera only turns on the spot" if on_the_spot else "the camera hovers in one place"
+        return f"{problem}; walk through the room"
 
 
 def cover(poses: FloatArray) -> MotionCoverage:

@@ -46,7 +46,13 @@ def plot_localizability(
         wedges.set_clim(0.0, 1.0)
         axis.add_collection(wedges)
         axis.plot(*cameras[:, :2].T, color=INK, linewidth=1.4, label=f"{len(cameras)} cameras that built it")
-        axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+        axis.set(
+            xlim=(low[0], high[0]),
+            ylim=(low[1], high[1]),
+            xlabel="x of frame map (m)",
+            ylabel="y of frame map (m)",
+            aspect="equal",
+        )
         axis.set_title(f"{name}: where a lost camera is found, by the direction in which it looks")
         flown = f"height {views.height_m:.2f} m, pitch {np.degrees(views.pitch_rad):.0f}°"
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.5, title=flown)

@@ -80,7 +80,13 @@ def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world:
     with picture(path, 6.6 if len(views) == 1 else 17.0, size_in + 1.2) as figure:
         axes = _panels(figure, 1 if len(views) == 1 else 3)
         for axis in axes:
-            axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+            axis.set(
+                xlim=(low[0], high[0]),
+                ylim=(low[1], high[1]),
+                xlabel="x of frame map (m)",
+                ylabel="y of frame map (m)",
+                aspect="equal",
+            )
         for axis, view, cloud in zip(axes, views, shown, strict=False):
             x, y, height = cloud[np.argsort(cloud[:, 2])].T
             dots = axis.scatter(x, y, 1.2, height, cmap=_CMAP, vmin=lowest, vmax=highest, **_DOTS)

@@ -83,7 +83,7 @@ def draw_views(figure: SubFigure, run: DrawnRun) -> dict[str, Artist]:
         axis.set_xlim(low_m[plane[0]], high_m[plane[0]])
         axis.set_ylim(low_m[plane[1]], high_m[plane[1]])
         axis.set_aspect("equal", anchor="W")
-        axis.set(xlabel=f"{'xyz'[plane[0]]} (m)", ylabel=f"{'xyz'[plane[1]]} (m)")
+        axis.set(xlabel=f"{'xyz'[plane[0]]} of the world (m)", ylabel=f"{'xyz'[plane[1]]} of the world (m)")
         if axis is side and up_is_negative:
             axis.invert_yaxis()
         _draw_map(axis, plane, run)

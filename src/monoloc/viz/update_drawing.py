@@ -71,7 +71,7 @@ def plot_update(
         axes = figure.subplots(1, 3, squeeze=False)[0].tolist()
         for axis in axes:
             axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-            axis.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+            axis.set(xlabel="x of frame map (m)", ylabel="y of frame map (m)", aspect="equal")
         for axis, view, cloud in zip((axes[0], axes[2]), (before, after), clouds, strict=True):
             axis.plot(*cloud.T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
             axis.plot(

@@ -281,8 +281,7 @@ def test_stated_error_of_another_size_is_refused() -> None:
             "focal length of 5000 px, for blue 32x32; check the intrinsics",
         ),
         # The network's image would take all memory.
-        (Camera(640, 480, 0.82, 1.09, 320.0, 240.0), "length of 0.945 px for images of 640x480; give it in pixels"),
-        (Camera(640, 480, 1e-320, 1e-320, 320.0, 240.0), "length of 0 px for images of 640x480; give it in pixels"),
+        (Camera(640, 480, 9.0, 9.0, 320.0, 240.0), "length of 9 px for images of 640x480; give it in pixels"),
     ],
 )
 def test_camera_whose_images_are_too_small_is_refused(camera: Camera, message: str) -> None:

@@ -14,7 +14,7 @@ from refusals import refuses_data
     ("content", "problem", "fix"),
     [
         (b"1 2\n", "line 1 is not 3 numbers", "each line holds: a b c"),
-        (b"1 2 three\n", "line 1 is not 3 numbers", "each line holds: a b c"),
+        (b"1 2 three\n", "line 1 is not 3 numbers", "each line holds: a b c; a heading begins with #"),
         (b"1,5 2 3\n", "line 1 is not 3 numbers", "a b c, separated by spaces, with decimal points"),
         (b"1;2;3\n", "line 1 is not 3 numbers", "a b c, separated by spaces, with decimal points"),
         (b"# fine\n1 2 3 4\n", "line 2 is not 3 numbers", "each line holds: a b c"),

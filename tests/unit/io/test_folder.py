@@ -182,6 +182,13 @@ def test_image_name_that_is_too_long_is_refused(folder: Path) -> None:
         open_recording(str(folder))
 
 
+def test_files_that_begin_later_name_the_start(folder: Path) -> None:
+    """As images that are numbered from 1, with a count."""
+    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace("start = 10\n", ""))
+    first = folder / "color" / "000000.jpg"
+    refuses_to_open(folder, first, "is missing", "write start = 10 in dataset.toml, where the files begin")
+
+
 def test_missing_pose_file_is_refused(folder: Path) -> None:
     (folder / "poses.txt").unlink()
     refuses_to_open(folder, folder / "poses.txt", "is missing", "correct poses in dataset.toml")

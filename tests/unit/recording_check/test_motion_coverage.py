@@ -18,5 +18,14 @@ def test_walk_is_covered() -> None:
 
 
 def test_turning_and_hovering_are_named() -> None:
-    assert cover(make_pose(TURNS, np.zeros((20, 3)))).problem == "the camera only turns on the spot"
-    assert cover(make_pose(TURNS[:4], np.zeros((4, 3)))).problem == "the camera hovers in one place"
+    on_the_spot = cover(make_pose(TURNS, np.zeros((20, 3))))
+    assert on_the_spot.problem == "the camera only turns on the spot; walk through the room"
+    hovering = cover(make_pose(TURNS[:4], np.zeros((4, 3))))
+    assert hovering.problem == "the camera hovers in one place; walk through the room"
+
+
+def test_a_walk_through_more_than_a_building_is_in_another_unit() -> None:
+    motion = cover(make_pose(TURNS, np.outer(np.linspace(0.0, 170.0, 20), [1.0, 0.0, 0.0])))
+    assert motion.problem == (
+        "positions extend over 170 m; if their unit is another one, give --fix-poses millimetres or centimetres"
+    )
