@@ -101,7 +101,9 @@ def test_a_recorded_flight_is_a_recording(capfd: Capture, here: Path, recording:
 
 
 def test_replay_computes_every_pose_to_the_last_bit(capfd: Capture, here: Path) -> None:
+    (here / "again.csv").write_text("of a flight")
     figures = json_of(capfd, "replay", "log", "--out", "again.csv")
+    assert (here / "again-1.csv").read_text() == "of a flight"
     expected = {"frames": FRAMES, "different_frames": 0, "first_different_frame": None, "same_messages": None}
     assert figures == expected
     assert (here / "again.csv").read_bytes() == (here / "poses.csv").read_bytes()

@@ -30,6 +30,8 @@ from monoloc.io.recording import Selection
 from monoloc.map.compare import compare_maps
 from monoloc.map.surface import EXTENT_SIGMAS
 
+# Entries of a bundle that a person rarely asks for; JSON has them all.
+_DETAILS = ("settings", "thresholds", "integrity", "sensor", "network_spec")
 # Entries of a bundle that are listed first: what it is of, and what a flight depends on.
 _FIRST = (
     *("kind", "recording", "frames", "size_m", "landmarks", "components", "supports_relocalization", "down"),
@@ -66,6 +68,9 @@ def inspect(
         content = _bundle(Path(target))
     else:
         content = _recording(open_source(target, frames, intrinsics))
+    if not json and (left_out := [name for name in _DETAILS if name in content]):
+        shown = {name: value for name, value in content.items() if name not in left_out}
+        content = {**shown, "with --json": ", ".join(left_out)}
     print_figures(target, content, json)
 
 

@@ -23,6 +23,7 @@ from monoloc.cli.output_checks import check_outputs, check_suffix
 from monoloc.errors import DataError
 from monoloc.files import read_regular, write_whole
 from monoloc.flight.autopilot import senders
+from monoloc.flight.earlier_flight import earlier_name, keep_earlier
 from monoloc.flight.flight_loop import FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
 from monoloc.flight.pose_log import PoseLog
@@ -41,7 +42,10 @@ def replay(
         typer.Option("--room", help="The bundle or place, where it has moved since the flight."),
     ] = None,
     budget_ms: BudgetOption = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="CSV of the poses to write.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="CSV of the poses to write. An earlier file is kept as NAME-1.csv."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Compute a recorded flight again, and compare both.
@@ -93,6 +97,9 @@ def replay(
         if header.firmware is not None:
             same_messages = _begins_with(folder / MESSAGES, again / MESSAGES, breaks_off)
         if out is not None:
+            if (earlier := earlier_name(out)) is not None:  # perhaps the flight's own
+                note(out, f"is there already, and is kept as {earlier.name}")
+            keep_earlier(out)
             write_whole(out, read_regular(again / POSES))
     if breaks_off:
         found = f"holds {frames} whole frames and {len(recorded) - 1} poses: it was cut short, or not copied whole"
