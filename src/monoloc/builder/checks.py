@@ -80,7 +80,7 @@ def check_recording(
     cloud: FloatArray | None,
     config: BuildConfig,
     progress: Progress = NoProgress(),
-    if_poor: str = REFINE,
+    if_poor: str | None = None,
 ) -> list[str]:
     """Check that times, depth, poses and images of a recording agree, and that its scale is plausible.
 
@@ -88,7 +88,7 @@ def check_recording(
         recording: posed frames; with depth, unless the cloud is given.
         cloud: (N, 3) world frame, metres, if one was supplied.
         config: of the build.
-        if_poor: what to do about noisy poses.
+        if_poor: what to do about noisy poses; None advises to refine them, which takes depth, or to check them.
 
     Returns:
         Warnings, one line each.
@@ -103,7 +103,8 @@ def check_recording(
         check, evidence = compare_poses(recording, thin)
         step(1)
         # A wrong focal length or convention also bends planes and shifts edges: poses have the first word.
-        warnings += require_agreement(recording.name, check, config.refine_poses, if_poor)
+        advice = if_poor or (REFINE if recording.has_depth else check.fix)
+        warnings += require_agreement(recording.name, check, config.refine_poses, advice)
         agreeing = evidence if check.verdict == "agree" else None
         delay = None if agreeing is None or config.refine_poses else small_delay(agreeing)
         warnings += [] if delay is None else [f"{delay[0]}, by the corners; give {delay[1]}"]

@@ -35,7 +35,7 @@ from monoloc.recording_check.correspondences import Matches
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.explanations import small_delay
 from monoloc.recording_check.inspection import inspect_recording
-from monoloc.recording_check.pose_check import check_matches, check_poses, compare_poses, require_agreement
+from monoloc.recording_check.pose_check import PoseCheck, check_matches, check_poses, compare_poses, require_agreement
 from monoloc_lab.rooms import BUILD, TESTS
 from synthetic_room import FRAME_RATE_HZ, SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -254,6 +254,18 @@ def test_poses_with_a_cloud_in_place_of_depth(room: tuple[Recording, Matches]) -
     assert recording.poses is not None
     wrong = Altered(recording, poses=POSES["OpenGL"].poses(recording.poses), has_depth=False)
     assert refusal(compare_poses(wrong, cloud)[0]).endswith("; give --fix-poses opengl")
+
+
+def test_noisy_poses_without_depth_are_not_to_be_refined(
+    room: tuple[Recording, Matches], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only depth can refine them."""
+    doubtful = PoseCheck("doubtful", 20, 900, 0.4, 0.1, 0.8)
+    monkeypatch.setattr("monoloc.builder.checks.compare_poses", lambda recording, cloud: (doubtful, None))
+    for has_depth, advice in ((True, "--refine-poses may help"), (False, doubtful.fix)):
+        recording = Selection(Altered(room[0], has_depth=has_depth), np.arange(4))
+        warnings = check_recording(recording, Room().cloud(0.04), BuildConfig())
+        assert any(re.fullmatch(rf"poses fit the images poorly: .*; {advice}", each) for each in warnings)
 
 
 def test_poses_that_see_nothing_of_the_cloud_are_named(room: tuple[Recording, Matches]) -> None:
