@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, get_args
@@ -162,6 +163,9 @@ def fly(
             bundle, source, frames, camera, seconds, rate_hz, firmware, Path(folder), stderr.print
         )
     content = asdict(figures)
+    if not json:  # how often the pilot read each text, and a line for each recording
+        killed, after = content["recordings"]
+        content |= {"texts": dict(Counter(figures.texts)), "recordings": {"killed": killed, "after": after}}
     print_figures(f"{bundle}, {source}", content, json)
 
 
