@@ -18,7 +18,8 @@ from monoloc.distortion import COEFFICIENTS, MODELS, WIDEST_RAD, DistortionModel
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 
-_LEAST_PX, _LEAST_FOCAL_PX = 32, 4.0  # of an image with so many pixels a side; a smaller one is a share of it
+# In an image of so many pixels a side, a focal length below so many is stated as a share of the image.
+_LEAST_PX, _LEAST_FOCAL_PX = 32, 4.0
 _MOST_PX = 1 << 15
 _MIN_DEPTH_M = 0.1  # nearer points are not visible
 _BORDER_RAYS = 9  # along a side; the widest of them bound the field of view

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def is_same_image(image: NDArray[np.uint8], other: NDArray[np.uint8] | None) -> bool:
-    """Whether two images (H, W, 3) are the same, bit for bit; None is the same as no image."""
+    """Whether two images (H, W, 3) are the same, bit for bit; false where there is no other."""
     if other is None:
         return False
     # A few rows already differ in most images.

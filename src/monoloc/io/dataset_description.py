@@ -206,12 +206,18 @@ class DatasetDescription:
             try:
                 require_file(file, f"restore it, or correct {key} or count in {FILE_NAME}")
             except DataError as error:
-                first = next(iter(self._indices_of(key)), indices[0])
-                if file == files[0] and first > indices[0]:
-                    fix = f"write start = {first} in {FILE_NAME}, where the files begin"
-                    raise DataError(file, "is missing", fix) from error
-                raise
+                raise self._begins_later(key, indices[0], file) or error from None
         return files
+
+    def _begins_later(self, key: str, index: int, file: Path) -> DataError | None:
+        """The error of a missing file, if it is that of the first frame and those of a pattern begin later."""
+        try:
+            first = next(iter(self._indices_of(key)), index)
+        except DataError:  # a pattern of several numbers
+            return None
+        if first <= index or file != self.paths(key, [index])[0]:
+            return None
+        return DataError(file, "is missing", f"write start = {first} in {FILE_NAME}, where the files begin")
 
     def camera(self) -> Camera:
         """The colour camera."""
