@@ -75,11 +75,7 @@ class Camera:
                 f"is {self.width}x{self.height}",
                 f"give images of at most {_MOST_PX} pixels a side",
             )
-        if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
-            raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
-        if max(self.fx, self.fy) < _LEAST_FOCAL_PX and min(self.width, self.height) >= _LEAST_PX:
-            problem = f"is ({self.fx:g}, {self.fy:g}) for images of {self.width}x{self.height}"
-            raise SettingError("camera.fx/fy", problem, "give them in pixels, not as shares of the image")
+        self._check_focal_lengths()
         may_be_outside = self.is_window and np.isfinite(self.cx) and np.isfinite(self.cy)
         if not may_be_outside and not _is_inside(self.cx, self.cy, self.width, self.height):
             raise SettingError(
@@ -88,8 +84,23 @@ class Camera:
                 "check that the intrinsics belong to this image size",
             )
         object.__setattr__(self, "distortion", self._whole_distortion())
+        self._become_plain()
         if self.is_distorted:
             self._check_lens()
+
+    def _check_focal_lengths(self) -> None:
+        if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
+            raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
+        if max(self.fx, self.fy) < _LEAST_FOCAL_PX and min(self.width, self.height) >= _LEAST_PX:
+            problem = f"is ({self.fx:g}, {self.fy:g}) for images of {self.width}x{self.height}"
+            raise SettingError("camera.fx/fy", problem, "give them in pixels, not as shares of the image")
+
+    def _become_plain(self) -> None:
+        """Hold Python's numbers: those of NumPy have another text, which neither files nor other libraries read."""
+        for name in ("width", "height"):
+            object.__setattr__(self, name, int(getattr(self, name)))
+        for name in ("fx", "fy", "cx", "cy"):
+            object.__setattr__(self, name, float(getattr(self, name)))
 
     def _whole_distortion(self) -> tuple[float, ...]:
         """The coefficients, as many as the model has."""

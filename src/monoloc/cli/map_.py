@@ -33,6 +33,7 @@ from monoloc.config import override
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds
 from monoloc.io.cloud_files import CLOUD_SUFFIXES
+from monoloc.io.registry import FORMATS
 from monoloc.progress import ConsoleProgress
 from monoloc.viz.map_drawing import plot_map_change
 from monoloc.viz.viewer import show_map_change
@@ -75,7 +76,9 @@ def fit(
     """
     check_outputs({"--out": out}, (source,))
     check_suffix(out, "--out", ".npz", "a map")
-    is_cloud = Path(source).suffix.lower() in CLOUD_SUFFIXES
+    is_recording = any(known.recognises(Path(source)) for known in FORMATS.values())
+    is_recording |= source.partition(":")[0] in FORMATS and not Path(source).exists()
+    is_cloud = Path(source).suffix.lower() in CLOUD_SUFFIXES and not is_recording
     if is_cloud:
         refuse_frames(frames, "a cloud")
     with naming({"components": "--components"}):

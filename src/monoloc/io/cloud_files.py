@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import itertools
 import warnings
 import zipfile
@@ -111,12 +112,13 @@ def _read_pcd(path: Path, _: list[str]) -> FloatArray:
 def _read_columns(path: Path, _: list[str]) -> FloatArray:
     """Columns named by a first line, or in the order x, y, z; see :func:`_columns`."""
     with path.open("rb") as file:
-        first = file.readline().decode("utf-8-sig", errors="replace")
+        start = file.readline()
+        first = start.decode("utf-8-sig", errors="replace")
         titles = first.lower().lstrip("#/ ")
         names = [(title.split() or [""])[0] for title in titles.split(_separator(titles))]
         if {"x", "y", "z"} <= set(names):
             return _columns(file, (names.index("x"), names.index("y"), names.index("z")), path)
-        file.seek(0)
+        file.seek(len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0)
         return _columns(file, (0, 1, 2), path)
 
 

@@ -26,5 +26,16 @@ def poses_after(
         Whether there are poses on both sides, not far apart, (Q,), and the pose (Q, 4, 4), arbitrary where there are
         not.
     """
+    return interpolate_poses(times_s[rows] + delay_s, times_s, poses, _longest_step_s(times_s))
+
+
+def unbroken_parts(times_s: FloatArray) -> NDArray[np.int64]:
+    """Numbers, rising by one at each gap, of the parts of a recording between whose frames there is none, (N,)."""
+    is_gap = np.diff(times_s) > _longest_step_s(times_s)
+    return np.concatenate([[0], np.cumsum(is_gap)]).astype(np.int64)
+
+
+def _longest_step_s(times_s: FloatArray) -> float:
+    """Between two frames with no gap between them."""
     usual_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-    return interpolate_poses(times_s[rows] + delay_s, times_s, poses, max(_GAP_S, _GAP_FRAMES * usual_s))
+    return max(_GAP_S, _GAP_FRAMES * usual_s)

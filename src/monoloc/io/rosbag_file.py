@@ -62,6 +62,8 @@ def is_bag(path: Path) -> bool:
 
 
 def _start(path: Path, count: int) -> bytes:
+    if not path.is_file():  # a pipe would wait for its writer
+        return b""
     try:
         with path.open("rb") as file:
             return file.read(count)

@@ -40,7 +40,7 @@ class VideoFrames:
 
     def __init__(self, path: Path, turned: bool = True) -> None:
         require_file(path.absolute(), "check the path")
-        _check_name(path)
+        _check_name(path.absolute())
         self.path = path
         self._turned = turned
         self._rewind()
@@ -118,7 +118,8 @@ class VideoFrames:
         return np.arange(count) / rate_hz
 
     def _rewind(self) -> None:
-        self._capture = cv2.VideoCapture(str(self.path))
+        # FFmpeg takes what precedes a colon in a relative path as a protocol, such as http.
+        self._capture = cv2.VideoCapture(str(self.path.absolute()))
         self._next = 0
         if not self._capture.isOpened():
             if self.path.stat().st_size == 0:

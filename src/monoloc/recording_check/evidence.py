@@ -18,7 +18,7 @@ from monoloc.io.corrected import (
     without_pose_fix,
 )
 from monoloc.io.pose_fixes import CONVENTIONS
-from monoloc.io.poses_between_frames import poses_after
+from monoloc.io.poses_between_frames import poses_after, unbroken_parts
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
 from monoloc.map.cloud import voxel_thin
@@ -99,13 +99,15 @@ class Evidence:
         return relative_poses(poses, self.matches.frames)
 
     def relative_late(self, frames: int) -> FloatArray:
-        """As :meth:`relative`, with each pose taken from so many frames later; NaN beyond the ends.
+        """As :meth:`relative`, with each pose taken from so many frames later; NaN beyond the ends and gaps.
 
         Frames are those of the recording that the selection is from: poses are late by a time.
         """
-        poses, _, rows = self._of_source()
-        rows = rows + frames
-        inside = ((rows >= 0) & (rows < len(poses))).all(axis=1)
+        poses, times_s, rows = self._of_source()
+        part = unbroken_parts(times_s)
+        is_known = (rows + frames >= 0) & (rows + frames < len(poses))
+        is_known &= part[(rows + frames).clip(0, len(poses) - 1)] == part[rows]
+        rows, inside = rows + frames, is_known.all(axis=1)
         relative = np.full((len(rows), 4, 4), np.nan)
         relative[inside] = relative_poses(poses, rows[inside])
         return relative

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import get_args
 
 from monoloc.errors import SettingError
+from monoloc.files import at_home
 from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary
 from monoloc.structure_from_motion.depth_scale import DepthScale, NetworkScale
 from monoloc.structure_from_motion.distance_scale import DistanceScale
@@ -28,9 +28,9 @@ def parse_scale(text: str | None, has_depth: bool) -> ScaleSource:
     if text == "depth":
         return DepthScale()
     if text == "network" or (kind == "network" and rest):
-        return NetworkScale(rest) if rest else NetworkScale()
+        return NetworkScale(str(at_home(rest))) if rest else NetworkScale()
     if kind == "distance" and rest:
-        return DistanceScale(Path(rest))
+        return DistanceScale(at_home(rest))
     if kind == "marker":
         return _marker(text, rest)
     raise SettingError("scale", f"is {text!r}", f"write {SCALE_FORMS}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from monoloc.camera import Camera
@@ -24,6 +25,13 @@ def test_camera_is_read_as_it_was_written(tmp_path: Path, camera: Camera) -> Non
     write_camera(path, camera, {"rms_px": 0.2, "views": 20, "board": "ChArUco 8x6, square 30 mm"})
     assert read_camera(path) == camera
     assert 'board = "ChArUco 8x6, square 30 mm"' in path.read_text()
+
+
+def test_numbers_of_numpy_and_any_text_are_read_back(tmp_path: Path) -> None:
+    camera = Camera(np.int64(640), np.int64(480), *np.array([300.0, 310.0, 320.0, 240.0]))
+    assert repr(camera) == repr(Camera(640, 480, 300.0, 310.0, 320.0, 240.0))
+    write_camera(tmp_path / "cam.toml", camera, {"recording": 'walk 5" \\ \U0001f600\x7f', "views": 3})
+    assert read_camera(tmp_path / "cam.toml") == camera
 
 
 def test_pinhole_needs_six_numbers(tmp_path: Path) -> None:

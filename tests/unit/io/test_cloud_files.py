@@ -212,6 +212,11 @@ def test_points_of_a_colmap_model(tmp_path: Path, capture: Capture, binary: bool
     np.testing.assert_array_equal(read_cloud(path), POINTS)
 
 
+def test_a_byte_order_mark_is_no_number(tmp_path: Path) -> None:
+    (tmp_path / "room.xyz").write_bytes(b"\xef\xbb\xbf1 2 3\n4 5 6\n")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "room.xyz"), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+
+
 def test_points_that_are_not_finite_are_counted(tmp_path: Path) -> None:
     (tmp_path / "a.xyz").write_text("1 2 3\nnan 2 3\n1 inf 3\n")
     notes: list[str] = []

@@ -47,6 +47,15 @@ def test_late_poses_move_to_their_frames(recording: RoomRecording) -> None:
         np.testing.assert_array_equal(fixed.depth(0), recording.depth(frames[0]))
 
 
+def test_late_poses_are_not_taken_from_another_sequence(recording: RoomRecording) -> None:
+    """Two sequences of three frames, half a minute apart."""
+    assert recording.poses is not None
+    apart = Altered(recording)
+    apart.timestamps_s = recording.timestamps_s + np.where(np.arange(len(recording)) < 3, 0.0, 30.0)
+    for text, frames in (("late:1", [0, 1, 3, 4]), ("early:2", [2, 5])):
+        assert corrected(apart, Fixes(text)).frame_names == [recording.frame_names[frame] for frame in frames]
+
+
 def test_turned_depth_is_turned_back(recording: RoomRecording) -> None:
     fixed = corrected(recording, Fixes(depth="turned-180"))
     np.testing.assert_array_equal(fixed.depth(1)[::-1, ::-1], recording.depth(1))

@@ -15,6 +15,7 @@ from capture_writers import tag_rotation, write_video_of
 from monoloc.camera import Camera
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
+from monoloc.io.video_frames import VideoFrames
 from refusals import refuses_data, refuses_setting, refuses_to_open
 from synthetic_recordings import VIDEO_OPTIONS, check_recording
 
@@ -60,6 +61,13 @@ def test_only_frames_that_can_be_decoded_are_counted(tmp_path: Path) -> None:
     synthetic.overstate_frames(path, 9)
     assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) == 9
     check_recording(open_recording(str(path), VIDEO_OPTIONS), 6)
+
+
+def test_a_name_with_a_colon_is_no_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synthetic.write_video(tmp_path / "walk.avi")
+    (tmp_path / "walk.avi").rename(tmp_path / "http:10.30.avi")
+    monkeypatch.chdir(tmp_path)
+    assert VideoFrames(Path("http:10.30.avi")).size == (64, 48)
 
 
 def test_missing_intrinsics_are_named(tmp_path: Path) -> None:

@@ -56,6 +56,13 @@ def test_networks_depth_gives_the_scale(
     assert 0.3 <= found.sd < 0.35
 
 
+def test_files_at_home_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No shell replaces the sign after a colon."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert parse_scale("distance:~/door.toml", False) == DistanceScale(tmp_path / "door.toml")
+    assert parse_scale("network:~/net.onnx", False) == NetworkScale(str(tmp_path / "net.onnx"))
+
+
 def test_nothing_in_common_gives_no_scale(walk: RoomRecording, model: SparseModel) -> None:
     nothing = [np.zeros((128, 160), dtype=np.float32)] * len(walk)
     refuses(lambda: DepthScale().measure(walk, model, nothing), DataError, "room: gives no scale: .*marker:ID:SIZE_M")
