@@ -91,7 +91,7 @@ class Camera:
     def _check_focal_lengths(self) -> None:
         if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
             raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
-        if max(self.fx, self.fy) < _LEAST_FOCAL_PX and min(self.width, self.height) >= _LEAST_PX:
+        if min(self.fx, self.fy) < _LEAST_FOCAL_PX and min(self.width, self.height) >= _LEAST_PX:
             problem = f"is ({self.fx:g}, {self.fy:g}) for images of {self.width}x{self.height}"
             raise SettingError("camera.fx/fy", problem, "give them in pixels, not as shares of the image")
 

@@ -61,7 +61,7 @@ def inspect(
     if (Path(target) / PLACE_MANIFEST).is_file():
         fix = f"describe it by: monoloc place info {shlex.quote(target)}"
         raise DataError(target, "is a place of several rooms", fix, "how-to/many-rooms")
-    if (Path(target) / MANIFEST).is_file() or Path(target).suffix == ".monoloc":
+    if (Path(target) / MANIFEST).is_file() or (Path(target).suffix == ".monoloc" and ":" not in target):
         refuse_frames(frames, "a bundle")
         if intrinsics is not None:
             raise SettingError("--camera", "has no meaning for a bundle", "leave it out")

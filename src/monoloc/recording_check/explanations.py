@@ -68,7 +68,8 @@ def explain(evidence: Evidence, share: float) -> Explanation | None:
     readings = other_readings(evidence)
     others = (_by_reading(reading) for reading in readings)
     timed = list(_late_by_a_time(evidence))
-    exact = [*_without_fix(evidence), *_exact(evidence, whole_frames=not timed), *timed, *others]
+    misplaced = (_by_hypothesis(evidence, hypothesis) for hypothesis in positions())
+    exact = [*_without_fix(evidence), *_exact(evidence, whole_frames=not timed), *timed, *others, *misplaced]
     plain = _best(exact, _CLEAR * share)
     if plain is not None:
         return plain
@@ -76,7 +77,6 @@ def explain(evidence: Evidence, share: float) -> Explanation | None:
         (*exact, *_fitted(evidence)),
         (explanation for reading in readings for explanation in _exact(reading)),
         _in_another_scale(evidence),
-        (_by_hypothesis(evidence, hypothesis) for hypothesis in positions()),
         (_by_hypothesis(evidence, hypothesis) for hypothesis in conventions(many=True)),
     )
     found = (_best(list(explanations), _IMPROVEMENT * share) for explanations in stages)

@@ -96,7 +96,8 @@ def _by_reading(reading: Reading) -> Hypothesis:
         poses = reading.convert(evidence.poses)
         return evidence.reproject(evidence.relative(poses), evidence.depth_m(poses))
 
-    return Hypothesis(reading.what, reading.option, len(reading.names), measure)
+    parts = 2 if reading.names[0] in POSITIONS else len(reading.names)  # of equals, a convention is the simpler one
+    return Hypothesis(reading.what, reading.option, parts, measure)
 
 
 def delays() -> Iterator[Hypothesis]:

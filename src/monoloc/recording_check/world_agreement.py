@@ -13,6 +13,7 @@ LEAST_FRAMES = 4
 AGREEING_SHARE = 0.7
 """Of the frames, that must agree with one rigid transform."""
 
+_LEFT_SHARE = 0.6  # of frames that agree as stated, at most, with another reading
 _SAME_M, _SAME_RAD = 0.15, np.deg2rad(6.0)  # poses of two frames that say the same of the two worlds
 
 
@@ -36,10 +37,15 @@ def agreeing_reading(T_map_camera: FloatArray, T_world_camera: FloatArray) -> Re
 
     Simpler readings come first. Poses that hardly differ from each other agree by any reading, and so as stated.
     """
-    least = AGREEING_SHARE * len(T_map_camera)
-    if len(T_map_camera) < LEAST_FRAMES or common_transform(T_map_camera, T_world_camera)[0] >= least:
+    count = len(T_map_camera)
+    least = AGREEING_SHARE * count
+    # Where half of the frames agree as stated, a few more would agree by another reading by chance.
+    if count < LEAST_FRAMES or common_transform(T_map_camera, T_world_camera)[0] > _LEFT_SHARE * count:
         return None
     for reading in sorted(readings(), key=lambda each: len(each.names)):
-        if common_transform(T_map_camera, reading.convert(T_world_camera))[0] >= least:
+        converted = reading.convert(T_world_camera)
+        # Positions in one place, as metres read as millimetres are, agree with any camera that stands.
+        moves = np.ptp(converted[:, :3, 3], axis=0).max() > _SAME_M
+        if moves and common_transform(T_map_camera, converted)[0] >= least:
             return reading
     return None

@@ -182,7 +182,8 @@ class _Watcher:
         """Take in a frame, and keep it if it is usable."""
         step = frame.step
         self.states[step.state] += 1
-        self._standing = step.standing
+        if step.standing is not None:  # later, as in a landing, too much of the image may stand to tell
+            self._standing = step.standing
         self.mismatches += Reason.CAMERA_MISMATCH in step.reasons
         checksum = fingerprint(frame.color)
         if checksum in self._known:

@@ -38,6 +38,13 @@ def test_poses_that_agree_or_are_noise_have_no_other_reading() -> None:
     assert agreeing_reading(in_map(PATH)[:3], POSES["OpenGL"].poses(PATH)[:3]) is None, "too few"
 
 
+def test_an_estimate_that_stands_has_no_other_reading_of_a_walk() -> None:
+    """In millimetres, the walk would stand too."""
+    walk = np.tile(np.eye(4), (20, 1, 1))
+    walk[:, 0, 3] = np.linspace(0.0, 2.0, 20)
+    assert agreeing_reading(np.tile(np.eye(4), (20, 1, 1)), walk) is None
+
+
 def test_a_camera_that_stands_has_no_other_reading() -> None:
     standing = np.tile(PATH[:1], (20, 1, 1))
     assert agreeing_reading(T_MAP_WORLD @ standing, standing) is None
