@@ -15,7 +15,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io import seven_scenes
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import PoseFixes, parse_pose_fixes
-from monoloc.io.poses_between_frames import poses_after, unbroken_parts
+from monoloc.io.poses_between_frames import frames_after, poses_after
 from monoloc.io.recording import Recording, Selection, recorded_down, scale_sd_of
 from monoloc.io.registration import DepthRegistration
 from monoloc.io.upright import Turned
@@ -162,12 +162,7 @@ def _at_their_frames(
     poses: FloatArray, times_s: FloatArray, fixes: PoseFixes
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Whether a frame's pose is stored at all, (N,), and the pose (N, 4, 4), of poses that are late or early."""
-    rows = np.arange(len(poses)) + fixes.late_frames
-    known = (rows >= 0) & (rows < len(poses))
-    rows = rows.clip(0, len(poses) - 1)
-    if len(poses):
-        part = unbroken_parts(times_s)
-        known &= part[rows] == part  # beyond a gap is another sequence
+    known, rows = frames_after(times_s, np.arange(len(poses)), fixes.late_frames)
     if fixes.late_s == 0.0:
         return known, poses[rows]
     between, moved = poses_after(poses, times_s, rows, fixes.late_s)

@@ -29,10 +29,23 @@ def poses_after(
     return interpolate_poses(times_s[rows] + delay_s, times_s, poses, _longest_step_s(times_s))
 
 
-def unbroken_parts(times_s: FloatArray) -> NDArray[np.int64]:
-    """Numbers, rising by one at each gap, of the parts of a recording between whose frames there is none, (N,)."""
+def frames_after(
+    times_s: FloatArray, rows: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """The frames that come so many after others, without a gap between them.
+
+    Args:
+        times_s: (N,) of all frames, increasing.
+        rows: (...) frames that are asked for.
+        count: of frames after them; negative for before.
+
+    Returns:
+        Whether there is such a frame, (...), and its row, (...), arbitrary where there is none.
+    """
     is_gap = np.diff(times_s) > _longest_step_s(times_s)
-    return np.concatenate([[0], np.cumsum(is_gap)]).astype(np.int64)
+    part = np.concatenate([[0], np.cumsum(is_gap)])  # between gaps
+    later = (rows + count).clip(0, len(times_s) - 1)
+    return (later == rows + count) & (part[later] == part[rows]), later
 
 
 def _longest_step_s(times_s: FloatArray) -> float:

@@ -18,7 +18,7 @@ from monoloc.io.corrected import (
     without_pose_fix,
 )
 from monoloc.io.pose_fixes import CONVENTIONS
-from monoloc.io.poses_between_frames import poses_after, unbroken_parts
+from monoloc.io.poses_between_frames import frames_after, poses_after
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
 from monoloc.map.cloud import voxel_thin
@@ -104,10 +104,8 @@ class Evidence:
         Frames are those of the recording that the selection is from: poses are late by a time.
         """
         poses, times_s, rows = self._of_source()
-        part = unbroken_parts(times_s)
-        is_known = (rows + frames >= 0) & (rows + frames < len(poses))
-        is_known &= part[(rows + frames).clip(0, len(poses) - 1)] == part[rows]
-        rows, inside = rows + frames, is_known.all(axis=1)
+        is_known, rows = frames_after(times_s, rows, frames)
+        inside = is_known.all(axis=1)
         relative = np.full((len(rows), 4, 4), np.nan)
         relative[inside] = relative_poses(poses, rows[inside])
         return relative

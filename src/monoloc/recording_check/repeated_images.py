@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from monoloc.contrast import has_contrast
 from monoloc.geometry import steps_m
 from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.same_image import is_same_image
 
 _PAIRS = 30  # of neighbouring frames that are compared
 _LEAST_SAME = 2  # of them: a single one is no frozen stream
@@ -36,4 +37,4 @@ def find_repeats(recording: Recording) -> str | None:
 
 def _is_repeated(image: NDArray[np.uint8], following: NDArray[np.uint8]) -> bool:
     """Whether two images (H, W, 3) are the same and show something: a blank wall looks the same from everywhere."""
-    return np.array_equal(image, following) and has_contrast(image)
+    return is_same_image(image, following) and has_contrast(image)

@@ -39,7 +39,7 @@ def agreeing_reading(T_map_camera: FloatArray, T_world_camera: FloatArray) -> Re
     """
     count = len(T_map_camera)
     least = AGREEING_SHARE * count
-    # Where half of the frames agree as stated, a few more would agree by another reading by chance.
+    # Where most frames agree as stated, a few more may agree by another reading by chance.
     if count < LEAST_FRAMES or common_transform(T_map_camera, T_world_camera)[0] > _LEFT_SHARE * count:
         return None
     for reading in sorted(readings(), key=lambda each: len(each.names)):
