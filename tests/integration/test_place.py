@@ -159,6 +159,20 @@ def test_a_room_that_cannot_be_read_does_not_end_a_flight_that_is_tracking_in_an
     assert asked == [OTHER] and {(step.room, step.state) for step in steps} == {(LEFT, "tracking")}
 
 
+def test_the_place_is_asked_as_soon_by_a_driver_that_gives_each_image_twice(
+    place: Place, walk: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    localizer = PlaceLocalizer(place, CAMERA, LEFT, Start(walk.poses[0]))
+    stepped, asked = localizer._stepped, list[int]()
+    monkeypatch.setattr(place_localizer, "_UNSEEN_S", 5.5 * FRAME_S)
+    monkeypatch.setattr(localizer, "_door_taken", lambda color, room, belief: None)
+    monkeypatch.setattr(localizer, "_stepped", lambda *given: replace(stepped(*given), landmark_pose=None))
+    for frame in range(7):
+        monkeypatch.setattr(localizer, "_agreed", lambda given, frame=frame: asked.append(frame))
+        localizer.step(walk.color(frame // 2), FRAME_S)
+    assert asked == [6]  # that after 5.5 frames is the third of an image that repeats
+
+
 def test_a_lost_camera_is_found_although_another_room_cannot_be_read(
     place: Place, walk: RoomRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

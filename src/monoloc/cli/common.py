@@ -39,6 +39,9 @@ class PlainConsole(Console):
 
 stderr = PlainConsole(stderr=True)
 
+# By the last word of a key in JSON.
+_UNITS = {"m": " m", "m3": " m³", "deg": "°", "s": " s", "ms": " ms", "px": " px", "hz": " Hz", "mb": " MB"}
+
 SourceArgument = Annotated[
     str,
     typer.Argument(
@@ -229,7 +232,7 @@ def print_figures(title: str, figures: Mapping[str, object], json: bool) -> None
         table.add_column()
         table.add_column(overflow="fold")
         for name, value in figures.items():
-            table.add_row(name, text_of(value))
+            table.add_row(*_with_unit(name, value))
         _print_titled(title, table)
 
 
@@ -253,6 +256,15 @@ def _print_titled(title: str, table: Table) -> None:
     console = PlainConsole()
     console.print(title, style="bold", soft_wrap=True)  # the table's own title would be wrapped to its width
     console.print(table)
+
+
+def _with_unit(key: str, value: object) -> tuple[str, str]:
+    """A key of JSON in words, and its value with the unit that ends the key."""
+    *words, last = key.split("_")
+    text = text_of(value)
+    if not words or last not in _UNITS or isinstance(value, dict):
+        return " ".join([*words, last]), text
+    return " ".join(words), text if value is None else text + _UNITS[last]
 
 
 def text_of(value: object) -> str:

@@ -20,6 +20,7 @@ from monoloc.cli.common import (
     SourceArgument,
     naming,
     open_source,
+    print_figures,
     print_json,
     print_table,
     refuse_frames,
@@ -198,11 +199,7 @@ def evaluate(
     }
     if network.spec.has_shift:
         metrics["shift"] = network.spec.shift
-    if json:
-        print_json(metrics)
-    else:
-        rows = [[name, "-" if value is None else f"{value:.4g}"] for name, value in metrics.items()]
-        print_table(f"{model} on {source}", ["figure", "value"], rows)
+    print_figures(f"{model} on {source}", metrics, json)
 
 
 @app.command()

@@ -15,8 +15,7 @@ from monoloc.cli.common import (
     FramesOption,
     JsonOption,
     open_source,
-    print_json,
-    print_table,
+    print_figures,
     refuse_frames,
     warn,
 )
@@ -87,11 +86,7 @@ def evaluate(
     fix = "convert them" if _is_trajectory(Path(truth)) else "give {}"
     if fix_poses is None and (other := other_reading(estimated, true, fix)) is not None:
         warn(trajectory, other)
-    if json:
-        print_json(metrics)
-    else:
-        rows = [[name, f"{value:.4g}"] for name, value in metrics.items()]
-        print_table(f"{trajectory.name} against {truth}", ["figure", "value"], rows)
+    print_figures(f"{trajectory.name} against {truth}", metrics, json)
 
 
 def _is_trajectory(path: Path) -> bool:

@@ -91,6 +91,8 @@ def _restored(bundle: Bundle, arrays: _Arrays) -> Bundle:
     poses, forward, backward = (references[:, column].astype(np.float64) for column in range(3))
     changed = json.loads(arrays["manifest"].tobytes())
     if (frames := changed.pop(_FRAMES, None)) is not None:
+        if not 0 <= frames <= len(bundle.provenance.frames):
+            raise ValueError(f"the last edit cannot be taken back ({frames} frames before it)")
         changed["provenance"]["frames"] = dict(islice(bundle.provenance.frames.items(), frames))
     return replace(
         bundle,

@@ -69,7 +69,8 @@ _NEEDS = {
 _MOST_APART_M = 1.0  # of two cameras on one rig
 _NEAREST = 3  # keys that an unknown one is compared with: "focal_x" has more letters of "scale_sd" than of "fx"
 _MOST_FRAMES = 1_000_000
-_INDEX_FORMAT = re.compile(r"0?\d{0,2}d?")  # a width of a hundred digits and more is no file name
+# Digits padded by zeros: names padded by spaces are a slip, and a width of a hundred and more is no file name.
+_INDEX_FORMAT = re.compile(r"(0\d{1,2})?d?")
 
 
 _FILE_KEYS = ("color", "depth", "confidence", "poses")

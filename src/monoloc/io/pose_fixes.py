@@ -145,6 +145,8 @@ def parse_pose_fixes(text: str) -> PoseFixes:
         numbered = _WITH_NUMBER.fullmatch(name)
         if (convention := CONVENTIONS.get(name) or POSITIONS.get(name)) is not None:
             steps.append(convention.convert)
+        elif name == _AS_STATED:
+            raise SettingError("fix_poses", f"is {text!r}, and {name} leaves positions as they are", "leave it out")
         elif numbered is None or not _is_usable(numbered):
             raise SettingError("fix_poses", f"is {text!r}, and {name!r} is no fix", _FIX)
         elif numbered[1]:

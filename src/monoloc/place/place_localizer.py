@@ -189,6 +189,7 @@ class PlaceLocalizer:
             self._localizer, self._candidate, self._since_search_s = None, None, _SEARCH_PERIOD_S
             return self._searched(frame)
         self._lost_s = 0.0
+        self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + elapsed_s
         stays = PlaceStep(self._room, step, level=step.level)
         return stays if is_repeated else self._left(frame, self._room, step) or stays
 
@@ -197,7 +198,7 @@ class PlaceLocalizer:
         door = self._door_taken(frame.color, room, step.estimate)
         if door is not None:
             return self._handed_over(frame, door, step.estimate)
-        other = self._other_room(frame, room, step)
+        other = self._other_room(frame, room)
         return None if other is None else self._entered(other, None, frame)
 
     def _searched(self, frame: _Frame) -> PlaceStep:
@@ -221,12 +222,11 @@ class PlaceLocalizer:
         self._candidate, self._since_candidate_s = found, 0.0
         return found if is_agreed else None
 
-    def _other_room(self, frame: _Frame, room: str, step: Step) -> str | None:
+    def _other_room(self, frame: _Frame, room: str) -> str | None:
         """The other room that the camera is in, asked once a second while it sees no landmarks of this one.
 
         What is found is asked for again at the next search.
         """
-        self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
         if self._unseen_s < _UNSEEN_S:
             return None
         found = self._agreed(frame)

@@ -228,7 +228,20 @@ def test_tables_are_rounded_and_their_titles_are_not_wrapped_or_interpreted(
     out = capfd.readouterr().out
     assert out.startswith(f"{title}\n")
     assert "│ down      │ 0.333, -0.123, 0.0123 │" in out
-    assert "│ scale_sd  │ -  " in out and "│ is_signed │ no  " in out
+    assert "│ scale sd  │ -  " in out and "│ is signed │ no  " in out
+
+
+def test_keys_are_words_and_their_values_have_units(capfd: pytest.CaptureFixture[str]) -> None:
+    figures = {"lower_m": (1.0, -2.5), "rot_rmse_deg": 0.25, "step_ms": None, "m": 3, "files_s": {"a.txt": 2}}
+    print_figures("room", figures, json=False)
+    rows = [[cell.strip() for cell in row.split("│")[1:-1]] for row in capfd.readouterr().out.splitlines()[2:-1]]
+    assert rows == [
+        ["lower", "1.000, -2.500 m"],
+        ["rot rmse", "0.250°"],
+        ["step", "-"],
+        ["m", "3"],
+        ["files s", "a.txt: 2"],
+    ]
 
 
 def test_words_of_a_wide_table_are_whole_in_80_columns(capfd: pytest.CaptureFixture[str]) -> None:

@@ -82,7 +82,7 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     assert content["sensor"]["thresholds"] is None
     np.testing.assert_allclose(content["down"], read_bundle(here / "room.monoloc").down)
     table = succeeds(capfd, "inspect", "room.monoloc")
-    assert table.index("down ") < table.index("mean_camera_down") < table.index("monoloc_version")
+    assert table.index("down ") < table.index("mean camera down") < table.index("monoloc version")
     assert "supports_relocalization" in table and "scan_search_precision" not in table
     write_bundle(here / "mute.monoloc", replace(bundle, integrity=IntegrityModel()))
     content = json_of(capfd, "inspect", "mute.monoloc")

@@ -106,9 +106,11 @@ def test_frames_that_an_update_adds_are_taken_back_and_those_before_are_not_kept
     updated = with_edit(known, replace(known, provenance=provenance), record)
     assert len(updated.edits[-1].undo) < 5000
     assert undone(updated).provenance == known.provenance
+    fewer = replace(updated, provenance=known.provenance.model_copy(update={"frames": {"new": 5}}))
+    with pytest.raises(ValueError, match=r"cannot be taken back .5000 frames before it"):
+        undone(fewer)
     # Whatever an edit does with frames is taken back.
-    fewer = known.provenance.model_copy(update={"frames": {"new": 5}})
-    assert undone(with_edit(known, replace(known, provenance=fewer), record)).provenance == known.provenance
+    assert undone(with_edit(known, fewer, record)).provenance == known.provenance
 
 
 def test_nothing_to_take_back_is_refused(room: Bundle) -> None:

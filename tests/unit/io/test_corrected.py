@@ -110,6 +110,9 @@ def test_unknown_fixes_are_refused(text: str) -> None:
 
 
 def test_useless_fixes_are_refused(recording: RoomRecording) -> None:
+    refuses_setting(
+        lambda: parse_pose_fixes("opengl,positions:xyz"), "fix_poses", "leaves positions as they are", "leave it out"
+    )
     refuses_setting(lambda: Fixes(depth="sideways"), "fix_depth", "is 'sideways'", "choose one of range, kinect")
     without = RoomRecording(Room(), make_path(2), SMALL_CAMERA, has_depth=False)
     refuses(lambda: corrected(without, Fixes(depth="range")), DataError, "has no depth to fix; leave out --fix-depth")

@@ -125,6 +125,7 @@ def test_pairs_need_depth(folder: Path) -> None:
         ("color", "3", "is 3, not a text"),
         ("color", '"color/{number}.jpg"', "not a pattern of {index}"),
         ("color", '"color/{index:q}.jpg"', "not a pattern of {index}"),
+        ("color", '"color/{index:6d}.jpg"', "not a pattern of {index}"),  # a slip: names with spaces
         ("color", '"color/{index:99999999999d}"', "not a pattern of {index}"),  # more than memory holds
         ("color", '"color/{index:99999999999999999999d}"', "not a pattern of {index}"),
         ("color", '"color/000010.jpg"', "the same file for every index"),
