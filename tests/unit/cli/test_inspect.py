@@ -83,7 +83,7 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     np.testing.assert_allclose(content["down"], read_bundle(here / "room.monoloc").down)
     table = succeeds(capfd, "inspect", "room.monoloc")
     assert table.index("down ") < table.index("mean camera down") < table.index("monoloc version")
-    assert "supports_relocalization" in table and "scan_search_precision" not in table
+    assert "supports relocalization" in table and "scan_search_precision" not in table
     write_bundle(here / "mute.monoloc", replace(bundle, integrity=IntegrityModel()))
     content = json_of(capfd, "inspect", "mute.monoloc")
     assert not content["supports_relocalization"] and not content["supports_scan_search"]

@@ -58,7 +58,7 @@ def test_info_says_what_a_bundle_holds_and_what_was_seen(capfd: pytest.CaptureFi
     room_m3 = 5.0 * 2.6 * 5.0
     assert 0.1 * room_m3 < info["free_volume_m3"] < room_m3
     assert info["surface_volume_m3"] == pytest.approx(0.1 * (2.0 * (25.0 + 13.0 + 13.0) + 12.0), rel=0.4)
-    assert "files_bytes" in succeeds(capfd, "map", "info", "room.monoloc")
+    assert "files bytes" in succeeds(capfd, "map", "info", "room.monoloc")
 
 
 def test_info_tells_the_extent_of_the_room_not_of_the_map_that_was_bent_to_the_network(

@@ -89,7 +89,6 @@ def test_delays_that_no_poses_have_are_refused(text: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "positions:xyz",
         "positions:xxy",
         "positions:x,z,y",
         "opengl,sideways",
