@@ -75,9 +75,9 @@ class ImageTopic:
     @property
     def color_rank(self) -> int:
         """2 for colour, 1 for grey, 0 for an encoding that is not read."""
-        if not self.is_raw:
-            return 2
         encoding = encoding_of(self.first)
+        if not self.is_raw:  # image_transport writes "mono8; jpeg compressed ", and other drivers only "jpeg"
+            return 1 if encoding.partition(";")[0].strip() in GREY else 2
         return (encoding in COLOR) + (encoding in COLOR and encoding not in GREY)
 
     @property

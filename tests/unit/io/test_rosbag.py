@@ -115,6 +115,20 @@ def test_images_are_decoded_from_each_encoding(tmp_path: Path, capture: Capture)
     assert "also in the bag, with numbers of messages: color=/cam/bgr8 (1), " in open_recording(str(path)).notes[1]
 
 
+def test_compressed_infrared_is_not_taken_for_colour(tmp_path: Path, capture: Capture) -> None:
+    """As image_transport writes a RealSense's images: the infrared ones come first, and are as many."""
+    bag = bag_of(capture, poses=False, depth=False)
+    del bag.topics[COLOR]
+    for time_s, color in zip(capture.times_s, capture.colors, strict=True):
+        grey = cv2.imencode(".jpg", cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))[1].tobytes()
+        bgr = cv2.imencode(".jpg", cv2.cvtColor(color, cv2.COLOR_RGB2BGR))[1].tobytes()
+        for name, data, fmt in (("infra1/image_rect_raw", grey, "mono8"), ("color/image_raw", bgr, "rgb8")):
+            message = bag.ros.compressed(time_s, OPTICAL, data, f"{fmt}; jpeg compressed ")
+            bag.add(f"/cam/{name}/compressed", time_s, message)
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    assert recording.notes[0].startswith(f"colour is {COLOR}/compressed;")
+
+
 def inverse_depth(depth_m: NDArray[np.float32]) -> bytes:
     """compressedDepth of 32FC1, as compressed_depth_image_transport quantises it."""
     a, b = 100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0
