@@ -158,7 +158,8 @@ def choose_poses(
     topics = list(contents.poses.values())
     if wanted not in (None, _TF):
         topics = [contents.poses[_pick("poses", str(wanted), [*contents.poses, _TF])]]
-    usable = [] if wanted == _TF else [_of_topic(bag, each, tree, camera, chosen.get("body")) for each in topics]
+    bodies = {each.name: _body_of(each, chosen) for each in topics}
+    usable = [] if wanted == _TF else [_of_topic(bag, each, tree, camera, bodies[each.name]) for each in topics]
     if wanted in (None, _TF):
         usable.append(_of_transforms(tree, camera))
     found = [each for each in usable if each is not None]
@@ -169,7 +170,7 @@ def choose_poses(
     if not topics:
         return None
     best = max(topics, key=lambda each: len(each.samples))
-    body = best.body_frame(chosen.get("body"))
+    body = bodies[best.name]
     problem = f"holds poses of {body}, and /tf_static does not say where the camera {camera!r} is on it"
     fix = _MOUNT
     if best.is_mixed:
@@ -183,10 +184,17 @@ def choose_poses(
     raise DataError(bag.path / best.name.lstrip("/"), problem, fix)
 
 
-def _of_topic(
-    bag: BagFile, topic: PoseTopic, tree: TransformTree, camera: str, chosen: str | None
-) -> PoseSource | None:
-    mount = None if topic.is_mixed else mount_of(topic.body_frame(chosen), camera, tree)
+def _body_of(topic: PoseTopic, chosen: Mapping[str, str]) -> str:
+    """The frame whose poses a topic holds; empty if nothing tells.
+
+    ``body`` is of the topic that is chosen, and without one of those that do not state their frame: poses that are
+    stated to be of another frame are not those that it is about.
+    """
+    return topic.body_frame(chosen.get("body") if "poses" in chosen or not topic.body else None)
+
+
+def _of_topic(bag: BagFile, topic: PoseTopic, tree: TransformTree, camera: str, body: str) -> PoseSource | None:
+    mount = None if topic.is_mixed else mount_of(body, camera, tree)
     if mount is None:
         return None
     T_body_camera, how = mount

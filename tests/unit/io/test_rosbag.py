@@ -312,6 +312,20 @@ def test_pose_without_a_body_needs_one(tmp_path: Path, capture: Capture) -> None
     check_opened(open_recording(f"rosbag:{path}#poses=/mocap,body={BODY}"), capture, capture.depths_mm, 1e-9)
 
 
+def test_body_is_of_poses_that_do_not_state_theirs(tmp_path: Path, capture: Capture) -> None:
+    """Odometry of the body is beside poses of the camera: to take it as the camera's would tilt every pose."""
+    bag = bag_of(capture)
+    for time_s, pose in zip(capture.times_s, capture.poses, strict=True):
+        bag.add("/mocap", time_s, bag.ros.pose_stamped(time_s, WORLD, pose))
+    time_s, pose = odometry_of(capture)[-1]
+    bag.add(ODOM, time_s + 1.0, bag.ros.odometry(time_s + 1.0, BODY, pose))  # there is more of it
+    path = bag.write(tmp_path / "walk")
+    for choice in (f"body={OPTICAL}", f"poses=/mocap,body={OPTICAL}"):
+        check_opened(open_recording(f"rosbag:{path}#{choice}"), capture, capture.depths_mm, 1e-9)
+    chosen = open_recording(f"rosbag:{path}#poses={ODOM},body={OPTICAL}")  # of the topic that it is chosen with
+    assert f"poses are those of {ODOM}, of {OPTICAL}" in chosen.notes[0]
+
+
 def test_optical_poses_are_taken_as_they_are(tmp_path: Path, capture: Capture) -> None:
     bag = bag_of(capture, poses=False)
     for time_s, pose in zip(capture.times_s, capture.poses, strict=True):
