@@ -26,7 +26,8 @@ class NetworkStream:
     """A :class:`~monoloc.live.newest_frame.Grabber` of a URL, with times from the stream's own stamps, or of arrival
     where it has none.
 
-    A file on a server, whose size or duration is known, ends; a camera that ends is gone and may come back.
+    A file on a server, whose size or duration is known, is played at its own pace, and ends; a camera that ends is
+    gone and may come back.
 
     Raises:
         MissingExtraError: PyAV is not installed.
@@ -40,6 +41,7 @@ class NetworkStream:
         self._frames: Any = None
         self._is_file = self._has_stamps = False
         self._clock = CaptureClock()
+        self._began_s: float | None = None  # when the stamp of a file was zero
 
     def open(self) -> None:
         import av
@@ -57,7 +59,7 @@ class NetworkStream:
         is_rtsp = self._url.startswith("rtsp")
         self._is_file = not is_rtsp and (self._container.duration is not None or self._container.size > 0)
         self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
-        self._clock = CaptureClock()
+        self._clock, self._began_s = CaptureClock(), None
 
     def _decoded(self, video: Any) -> Iterator[Any]:
         import av
@@ -88,8 +90,18 @@ class NetworkStream:
                 raise DataError(self.name, problem, "copy it here, and name the file") from error
             raise CameraGoneError from error
         color: NDArray[np.uint8] = frame.to_ndarray(format="rgb24")
-        is_stamped = self._has_stamps and frame.time is not None
-        return color, self._clock.captured_s(frame.time, arrived_s) if is_stamped else arrived_s
+        if not self._has_stamps or frame.time is None:
+            return color, arrived_s
+        if self._is_file:
+            arrived_s = self._awaited_s(frame.time, arrived_s)
+        return color, self._clock.captured_s(frame.time, arrived_s)
+
+    def _awaited_s(self, stamp_s: float, arrived_s: float) -> float:
+        """Wait until a frame of a file is due: it comes as fast as it is read, and a camera's would not."""
+        self._began_s = arrived_s - stamp_s if self._began_s is None else self._began_s
+        wait_s = self._began_s + stamp_s - arrived_s
+        time.sleep(min(max(0.0, wait_s), _TIMEOUT_S))  # stamps may jump
+        return time.monotonic()
 
     def close(self) -> None:
         if self._container is not None:

@@ -147,6 +147,21 @@ def test_a_file_on_a_server_ends_and_does_not_play_again(tmp_path: Path, transpo
         source.close()
 
 
+def test_a_file_on_a_server_is_played_at_its_own_pace(tmp_path: Path, transport_stream: bytes) -> None:
+    """Read as fast as it comes, all but a few of its frames would be dropped, and the others seem to be a rush."""
+    (tmp_path / "flight.ts").write_bytes(transport_stream)
+    with http_server(tmp_path) as address:
+        source = NewestFrame(NetworkStream(f"{address}/flight.ts"))
+        taken = []
+        with pytest.raises(EndOfStreamError):
+            while True:
+                taken += [frame] if (frame := source.next(1.0)) is not None else []
+        source.close()
+    assert len(taken) >= FRAMES - MOST_PROBED - 5  # a busy machine drops some
+    span_s, steps = (taken[-1].captured_s - taken[0].captured_s, taken[-1].sequence - taken[0].sequence)
+    assert span_s == pytest.approx(steps / 25.0, abs=0.02)
+
+
 def test_a_file_on_a_server_that_breaks_off_is_named(tmp_path: Path, transport_stream: bytes) -> None:
     (tmp_path / "flight.ts").write_bytes(transport_stream)
     with http_server(tmp_path, share=0.6) as address:
