@@ -9,6 +9,7 @@ is arbitrary unless it was aligned. ``points3D`` is a cloud, see :mod:`monoloc.i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -221,9 +222,12 @@ def _text_images(path: Path) -> list[_Image]:
     while lines and not lines[0].strip():
         del lines[0]
     images = []
-    for line in lines[::2]:
+    for line, points in zip_longest(lines[::2], lines[1::2], fillvalue=""):
         if not line.strip():
             continue
+        if len(points.split()) % 3:  # x, y and the point's number; an image, where other programs leave out points
+            problem = f"has {points[:80]!r} where the points of an image belong"
+            raise DataError(path, problem, "write a line after each image, which may be empty")
         words = line.split(maxsplit=9)
         try:
             numbers = tuple(float(word) for word in words[1:8])

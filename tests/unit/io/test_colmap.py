@@ -137,6 +137,7 @@ def test_truncated_binary_is_refused(tmp_path: Path, capture: Capture, name: str
         ("images.txt", "100 1 0 0 0 0 0 0 one a.jpg\n\n", "is not an image", "model_converter"),
         ("images.txt", "100 1 0 0 0\n\n", "is not an image", "model_converter"),
         ("images.txt", "100 2 0 0 0 0 0 0 1 left/frame 1.jpg\n\n", "pose 1 is not rigid", "unit quaternions"),
+        ("images.txt", "1 1 0 0 0 0 0 0 1 a.jpg\n2 1 0 0 0 0 0 0 1 b.jpg\n", "has '2 1 0.* points", "may be empty"),
         ("images.txt", "# none\n", "holds no images", "registered images"),
     ],
 )
