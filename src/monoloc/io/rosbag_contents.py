@@ -20,8 +20,8 @@ from monoloc.io.rosbag_messages import (
     INFO,
     POSES,
     TF,
-    encoding_of,
     is_depth,
+    pixels_of,
     pose_row,
     region_size,
     same_intrinsics,
@@ -75,9 +75,9 @@ class ImageTopic:
     @property
     def color_rank(self) -> int:
         """2 for colour, 1 for grey, 0 for an encoding that is not read."""
-        encoding = encoding_of(self.first)
-        if not self.is_raw:  # image_transport writes "mono8; jpeg compressed ", and other drivers only "jpeg"
-            return 1 if encoding.partition(";")[0].strip() in GREY else 2
+        encoding = pixels_of(self.first)
+        if not self.is_raw:
+            return 1 if encoding in GREY else 2
         return (encoding in COLOR) + (encoding in COLOR and encoding not in GREY)
 
     @property
@@ -170,7 +170,7 @@ def _ordered(positions: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], N
 
 def _add_images(contents: Contents, topic: ImageTopic) -> None:
     is_named_depth = _NAMED_DEPTH.search(topic.name) is not None
-    is_infrared = encoding_of(topic.first) == "mono16" and not is_named_depth
+    is_infrared = pixels_of(topic.first) == "mono16" and not is_named_depth
     if is_depth(topic.first) and not is_infrared:
         contents.depths[topic.name] = topic
     elif not (is_named_depth or is_infrared):  # other images of a depth camera are pictures of depth

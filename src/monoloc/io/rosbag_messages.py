@@ -58,6 +58,15 @@ def encoding_of(message: Any) -> str:
     return str(getattr(message, "encoding", None) or getattr(message, "format", ""))
 
 
+def pixels_of(message: Any) -> str:
+    """The encoding of an image's pixels, before any compression.
+
+    Of a CompressedImage, image_transport writes it first, as in ``mono8; jpeg compressed ``. Other drivers only say
+    how they compress, as in ``jpeg``, which is returned then.
+    """
+    return encoding_of(message).partition(";")[0].strip()
+
+
 def is_depth(message: Any) -> bool:
     """Whether an Image or CompressedImage states a depth encoding."""
     return encoding_of(message).startswith(_DEPTH_FORMAT) or "compressedDepth" in encoding_of(message)

@@ -129,6 +129,17 @@ def test_compressed_infrared_is_not_taken_for_colour(tmp_path: Path, capture: Ca
     assert recording.notes[0].startswith(f"colour is {COLOR}/compressed;")
 
 
+def test_compressed_infrared_is_not_taken_for_depth(tmp_path: Path, capture: Capture) -> None:
+    """An Azure Kinect's infrared images have 16 bits, as its depth, and come from the same camera."""
+    bag = bag_of(capture)
+    infrared = cv2.imencode(".png", np.full_like(capture.depths_mm[0], 900))[1].tobytes()
+    bag.topics = {"/k4a/ir/image_raw/compressed": [], **bag.topics}
+    for time_s in [*capture.times_s, capture.times_s[-1] + 0.001]:
+        message = bag.ros.compressed(time_s, OPTICAL, infrared, "mono16; png compressed ")
+        bag.add("/k4a/ir/image_raw/compressed", time_s, message)
+    check_opened(open_recording(str(bag.write(tmp_path / "walk"))), capture, capture.depths_mm, 1e-9)
+
+
 def inverse_depth(depth_m: NDArray[np.float32]) -> bytes:
     """compressedDepth of 32FC1, as compressed_depth_image_transport quantises it."""
     a, b = 100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0
