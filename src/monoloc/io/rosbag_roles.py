@@ -135,18 +135,29 @@ def _is_aligned(bag: BagFile, contents: Contents, topic: ImageTopic, color: Imag
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Where poses are from; ``sampler`` gives ``T_world_camera`` at times."""
+    """Where poses are from.
+
+    Attributes:
+        name: the topic.
+        how: they become the camera's.
+        count: of messages.
+        sampler: gives ``T_world_camera`` at times.
+        drifts: whether their world itself moves in another, as odometry's does where its drift is corrected.
+    """
 
     name: str
     how: str
     count: int
     sampler: Sampler
+    drifts: bool = False
 
 
 def choose_poses(
     bag: BagFile, contents: Contents, tree: TransformTree, camera: str, chosen: Mapping[str, str]
 ) -> PoseSource | None:
     """The source of poses with the most messages of those that can be brought to the camera; None without any.
+
+    Those that drift are taken only where there are no others: the transforms hold the corrections.
 
     Raises:
         DataError: there are poses, but how the camera is mounted is unknown.
@@ -164,7 +175,7 @@ def choose_poses(
         usable.append(_of_transforms(tree, camera))
     found = [each for each in usable if each is not None]
     if found:
-        return max(found, key=lambda each: each.count)
+        return max(found, key=lambda each: (not each.drifts, each.count))
     if wanted == _TF:
         raise DataError(bag.path, f"has no moving frame above {camera!r} in /tf", _MOUNT)
     if not topics:
@@ -204,7 +215,8 @@ def _of_topic(bag: BagFile, topic: PoseTopic, tree: TransformTree, camera: str, 
         known, T_world_body = interpolate_poses(query_s, *topic.samples.usable(path))
         return [(known, topic.samples.reason(topic.name))], T_world_body @ T_body_camera
 
-    return PoseSource(topic.name, how, len(topic.samples), sample)
+    drifts = tree.world_of(topic.world) is not None
+    return PoseSource(topic.name, how, len(topic.samples), sample, drifts)
 
 
 def _of_transforms(tree: TransformTree, camera: str) -> PoseSource | None:

@@ -258,6 +258,22 @@ def corrected_odometry(capture: Capture, stamps_s: NDArray[np.float64], jump_m: 
     return bag
 
 
+def test_poses_with_their_drift_corrected_are_preferred(tmp_path: Path, capture: Capture) -> None:
+    """As SLAM beside wheel odometry records them: as many messages of /odom as transforms, but in the world odom."""
+    bag = corrected_odometry(capture, capture.times_s - capture.times_s[0])
+    for time_s, message in bag.topics["/tf"][: len(capture)]:
+        (odom_to_body,) = message.transforms
+        odometry = bag.ros.odometry(time_s, BODY, np.eye(4))
+        odometry.header.frame_id = "odom"
+        odometry.pose.pose.position = odom_to_body.transform.translation
+        odometry.pose.pose.orientation = odom_to_body.transform.rotation
+        bag.add(ODOM, time_s, odometry)
+    path = bag.write(tmp_path / "walk")
+    check_opened(open_recording(str(path)), capture, capture.depths_mm, 1e-9)
+    drifting = open_recording(f"rosbag:{path}#poses={ODOM}")
+    assert f"poses are those of {ODOM}" in drifting.notes[0]
+
+
 def test_slow_corrections_of_drift_are_interpolated(tmp_path: Path, capture: Capture) -> None:
     span_s = np.ptp(capture.times_s)
     bag = corrected_odometry(capture, np.linspace(-0.1, span_s + 0.1, 3))
