@@ -17,8 +17,9 @@ from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
 _OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer"}  # TCP loses no packets
+_CAMERA_ONLY = "mpjpeg"  # images that replace one another; nobody stores them so
 # Containers of bare images hold no times: FFmpeg counts their frames, at 25 a second whatever the camera's rate.
-_WITHOUT_STAMPS = {"mpjpeg", "mjpeg", "h264", "hevc"}
+_WITHOUT_STAMPS = {_CAMERA_ONLY, "mjpeg", "h264", "hevc"}
 _CREDENTIALS = re.compile(r"(?<=//)[^/]*@")  # of a URL: they belong in no message
 
 
@@ -55,10 +56,11 @@ class NetworkStream:
             raise DataError(self.name, f"gives no video ({_reason(error, 'it has none')})", fix) from error
         video.thread_type = "SLICE"  # threads by frame add a frame of delay each
         self._frames = self._decoded(video)
-        # Some cameras state a duration over RTSP that means nothing.
-        is_rtsp = self._url.startswith("rtsp")
-        self._is_file = not is_rtsp and (self._container.duration is not None or self._container.size > 0)
-        self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
+        kind = self._container.format.name
+        # Some cameras state a duration over RTSP that means nothing, or a size over HTTP that they never reach.
+        is_camera = self._url.startswith("rtsp") or kind == _CAMERA_ONLY
+        self._is_file = not is_camera and (self._container.duration is not None or self._container.size > 0)
+        self._has_stamps = kind not in _WITHOUT_STAMPS
         self._clock, self._began_s = CaptureClock(), None
 
     def _decoded(self, video: Any) -> Iterator[Any]:

@@ -65,10 +65,11 @@ def served(*contents: bytes, pause_s: float = 0.0) -> Iterator[str]:
 
 
 class _SlowCamera(BaseHTTPRequestHandler):
-    """Motion JPEG, ten images a second, whose container has no time stamps."""
+    """Motion JPEG, ten images a second, whose container has no time stamps, and a size that means nothing."""
 
     def do_GET(self) -> None:
         self.send_response(200)
+        self.send_header("Content-Length", "99999999")
         self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=next")
         self.end_headers()
         for index in range(14):
@@ -95,6 +96,19 @@ def test_motion_jpeg_is_timed_on_arrival() -> None:
         stream.close()
         server.shutdown()
     assert max(ages_s) < 0.3
+
+
+def test_motion_jpeg_that_states_a_size_is_a_camera_that_may_come_back() -> None:
+    """Taken for a file, its first interruption would end the flight."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), _SlowCamera) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        stream = NetworkStream(f"http://127.0.0.1:{server.server_address[1]}/stream")
+        stream.open()
+        with pytest.raises(CameraGoneError):
+            for _ in range(20):
+                stream.grab()
+        stream.close()
+        server.shutdown()
 
 
 def frames_of(stream: NetworkStream, end: type[Exception] = CameraGoneError) -> tuple[list[int], list[float]]:
