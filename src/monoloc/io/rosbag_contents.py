@@ -73,6 +73,11 @@ class ImageTopic:
         return "rect" in self.base.rpartition("/")[2]
 
     @property
+    def is_named_depth(self) -> bool:
+        """Whether the name of the topic says that it is depth, or a picture of depth."""
+        return _NAMED_DEPTH.search(self.name) is not None
+
+    @property
     def color_rank(self) -> int:
         """2 for colour, 1 for grey, 0 for an encoding that is not read."""
         encoding = pixels_of(self.first)
@@ -169,11 +174,10 @@ def _ordered(positions: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], N
 
 
 def _add_images(contents: Contents, topic: ImageTopic) -> None:
-    is_named_depth = _NAMED_DEPTH.search(topic.name) is not None
-    is_infrared = pixels_of(topic.first) == "mono16" and not is_named_depth
+    is_infrared = pixels_of(topic.first) == "mono16" and not topic.is_named_depth
     if is_depth(topic.first) and not is_infrared:
         contents.depths[topic.name] = topic
-    elif not (is_named_depth or is_infrared):  # other images of a depth camera are pictures of depth
+    elif not (topic.is_named_depth or is_infrared):  # other images of a depth camera are pictures of depth
         contents.colors[topic.name] = topic
 
 

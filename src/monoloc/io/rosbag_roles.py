@@ -91,6 +91,8 @@ def choose_depth(
 ) -> DepthSource | None:
     """The depth topic that is aligned, else that can be registered, with the most messages; None without any.
 
+    Those that are named depth come first: confidence and others are images of floating-point numbers, too.
+
     Raises:
         DataError: there is depth that is neither.
         SettingError: the chosen topic is not in the bag.
@@ -101,7 +103,9 @@ def choose_depth(
     if "depth" in chosen:
         names = [_pick("depth", chosen["depth"], names)]
     topics = sorted(
-        (contents.depths[name] for name in names), key=lambda each: (len(each), each.is_raw), reverse=True
+        (contents.depths[name] for name in names),
+        key=lambda each: (each.is_named_depth, len(each), each.is_raw),
+        reverse=True,
     )
     for topic in topics:
         if _is_aligned(bag, contents, topic, color, camera):

@@ -140,6 +140,17 @@ def test_compressed_infrared_is_not_taken_for_depth(tmp_path: Path, capture: Cap
     check_opened(open_recording(str(bag.write(tmp_path / "walk"))), capture, capture.depths_mm, 1e-9)
 
 
+def test_confidence_is_not_taken_for_depth(tmp_path: Path, capture: Capture) -> None:
+    """A ZED's confidence has the encoding, the frame and the size of its depth, and as many messages."""
+    bag = bag_of(capture)
+    confidence = np.full(capture.depths_mm[0].shape, 50.0, np.float32)
+    bag.topics = {"/zed/confidence/confidence_map": [], **bag.topics}
+    for time_s in capture.times_s:
+        message = bag.ros.image(time_s, OPTICAL, confidence, "32FC1")
+        bag.add("/zed/confidence/confidence_map", time_s, message)
+    check_opened(open_recording(str(bag.write(tmp_path / "walk"))), capture, capture.depths_mm, 1e-9)
+
+
 def inverse_depth(depth_m: NDArray[np.float32]) -> bytes:
     """compressedDepth of 32FC1, as compressed_depth_image_transport quantises it."""
     a, b = 100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0
