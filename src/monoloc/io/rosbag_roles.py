@@ -16,7 +16,7 @@ from monoloc.io.registration import DepthRegistration
 from monoloc.io.rosbag_contents import Contents, ImageTopic
 from monoloc.io.rosbag_file import BagFile
 from monoloc.io.rosbag_messages import camera_of
-from monoloc.io.rosbag_poses import PoseTopic, Requirement, Sampler, TransformTree, mount_of
+from monoloc.io.rosbag_poses import PoseTopic, Requirement, Sampler, TransformTree, is_optical, mount_of
 
 _NONE, _TF = "none", "/tf"
 _SAME_INTRINSICS = 0.01  # largest relative difference of focal lengths and centres of one camera's images
@@ -146,14 +146,15 @@ class PoseSource:
         how: they become the camera's.
         count: of messages.
         sampler: gives ``T_world_camera`` at times.
-        drifts: whether their world itself moves in another, as odometry's does where its drift is corrected.
+        world_moves: whether their world itself moves in another, as odometry's does where its drift is corrected, and
+            the camera's frame, in which the poses of markers are.
     """
 
     name: str
     how: str
     count: int
     sampler: Sampler
-    drifts: bool = False
+    world_moves: bool = False
 
 
 def choose_poses(
@@ -161,7 +162,7 @@ def choose_poses(
 ) -> PoseSource | None:
     """The source of poses with the most messages of those that can be brought to the camera; None without any.
 
-    Those that drift are taken only where there are no others: the transforms hold the corrections.
+    Those whose world moves are taken only where there are no others.
 
     Raises:
         DataError: there are poses, but how the camera is mounted is unknown.
@@ -179,7 +180,7 @@ def choose_poses(
         usable.append(_of_transforms(tree, camera))
     found = [each for each in usable if each is not None]
     if found:
-        return max(found, key=lambda each: (not each.drifts, each.count))
+        return max(found, key=lambda each: (not each.world_moves, each.count))
     if wanted == _TF:
         raise DataError(bag.path, f"has no moving frame above {camera!r} in /tf", _MOUNT)
     if not topics:
@@ -219,8 +220,8 @@ def _of_topic(bag: BagFile, topic: PoseTopic, tree: TransformTree, camera: str, 
         known, T_world_body = interpolate_poses(query_s, *topic.samples.usable(path))
         return [(known, topic.samples.reason(topic.name))], T_world_body @ T_body_camera
 
-    drifts = tree.world_of(topic.world) is not None
-    return PoseSource(topic.name, how, len(topic.samples), sample, drifts)
+    world_moves = is_optical(topic.world) or tree.world_of(topic.world) is not None
+    return PoseSource(topic.name, how, len(topic.samples), sample, world_moves)
 
 
 def _of_transforms(tree: TransformTree, camera: str) -> PoseSource | None:

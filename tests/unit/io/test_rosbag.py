@@ -285,6 +285,14 @@ def test_poses_with_their_drift_corrected_are_preferred(tmp_path: Path, capture:
     assert f"poses are those of {ODOM}" in drifting.notes[0]
 
 
+def test_poses_of_a_marker_are_not_those_of_the_camera(tmp_path: Path, capture: Capture) -> None:
+    """Detectors publish them in the camera's frame, without a name for the marker, often more than odometry comes."""
+    bag = bag_of(capture)
+    for time_s in [*capture.times_s, capture.times_s[-1] + 0.01]:
+        bag.add("/aruco_single/pose", time_s, bag.ros.pose_stamped(time_s, OPTICAL, np.eye(4)))
+    check_opened(open_recording(str(bag.write(tmp_path / "walk"))), capture, capture.depths_mm, 1e-9)
+
+
 def test_slow_corrections_of_drift_are_interpolated(tmp_path: Path, capture: Capture) -> None:
     span_s = np.ptp(capture.times_s)
     bag = corrected_odometry(capture, np.linspace(-0.1, span_s + 0.1, 3))
