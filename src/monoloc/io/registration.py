@@ -42,6 +42,8 @@ class DepthRegistration:
             pixels = self.color_camera.project(points_color) + 0.5
             u, v = pixels[:, 0], pixels[:, 1]
             inside = (depths > 0.0) & (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
+            # Distortion folds points far outside the field of view back into the image.
+            inside[inside] = self.color_camera.in_sight(points_color[inside].astype(np.float64))
             target = v[inside].astype(np.intp) * width + u[inside].astype(np.intp)
             np.minimum.at(nearest, target, points_color[inside, 2])
         image = _close_cracks(nearest.reshape(height, width))

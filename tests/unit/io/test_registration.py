@@ -68,6 +68,16 @@ def test_registration_renders_what_the_colour_camera_sees() -> None:
     assert (board & clear).sum() > 10000
 
 
+def test_what_only_a_wide_depth_camera_sees_is_not_folded_into_the_image() -> None:
+    """A lens whose polynomial turns back beyond the image's corners; depth from there is nearer than what is seen."""
+    depth_camera = Camera(320, 288, 100.0, 100.0, 159.5, 143.5)
+    color_camera = Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (0.05, -0.15, 0.0, 0.0, 0.0))
+    depth_m = np.full((288, 320), 0.7, np.float32)
+    depth_m[:, 80:240] = 2.0  # as wide as 0.8 focal lengths to both sides, and the image 0.53
+    image = DepthRegistration(depth_camera, color_camera, np.eye(4))(depth_m)
+    np.testing.assert_allclose(image[image > 0.0], 2.0, atol=1e-6)
+
+
 def test_registration_between_equal_cameras_changes_nothing() -> None:
     camera = Camera(40, 30, 35.0, 35.0, 19.5, 14.5)
     depth_m = np.random.default_rng(0).uniform(1.0, 1.02, size=(30, 40)).astype(np.float32)
