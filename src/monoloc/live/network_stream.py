@@ -49,6 +49,12 @@ class NetworkStream:
 
         try:
             self._container = av.open(self._url, options=_OPTIONS, timeout=_TIMEOUT_S)
+            self._is_file = self._states_an_end()
+            if self._is_file:
+                # With nobuffer, the frames by which FFmpeg finds out what a stream is are lost: a camera's are old,
+                # but those that follow in a file need them.
+                self._container.close()
+                self._container = av.open(self._url, timeout=_TIMEOUT_S)
             video = self._container.streams.video[0]
         except (av.FFmpegError, OSError, IndexError) as error:
             self.close()
@@ -56,12 +62,16 @@ class NetworkStream:
             raise DataError(self.name, f"gives no video ({_reason(error, 'it has none')})", fix) from error
         video.thread_type = "SLICE"  # threads by frame add a frame of delay each
         self._frames = self._decoded(video)
-        kind = self._container.format.name
-        # Some cameras state a duration over RTSP that means nothing, or a size over HTTP that they never reach.
-        is_camera = self._url.startswith("rtsp") or kind == _CAMERA_ONLY
-        self._is_file = not is_camera and (self._container.duration is not None or self._container.size > 0)
-        self._has_stamps = kind not in _WITHOUT_STAMPS
+        self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
         self._clock, self._began_s = CaptureClock(), None
+
+    def _states_an_end(self) -> bool:
+        """Whether what is open is a file, by its duration or size.
+
+        Some cameras state a duration over RTSP that means nothing, or a size over HTTP that they never reach.
+        """
+        is_camera = self._url.startswith("rtsp") or self._container.format.name == _CAMERA_ONLY
+        return not is_camera and (self._container.duration is not None or self._container.size > 0)
 
     def _decoded(self, video: Any) -> Iterator[Any]:
         import av

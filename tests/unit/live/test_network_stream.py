@@ -171,7 +171,7 @@ def test_a_file_on_a_server_is_played_at_its_own_pace(tmp_path: Path, transport_
             while True:
                 taken += [frame] if (frame := source.next(1.0)) is not None else []
         source.close()
-    assert len(taken) >= FRAMES - MOST_PROBED - 5  # a busy machine drops some
+    assert len(taken) >= FRAMES - 5  # a busy machine drops some
     span_s, steps = (taken[-1].captured_s - taken[0].captured_s, taken[-1].sequence - taken[0].sequence)
     assert span_s == pytest.approx(steps / 25.0, abs=0.02)
 
@@ -191,7 +191,8 @@ def test_a_file_gives_its_frames_and_can_be_opened_again(tmp_path: Path) -> None
     for _ in range(2):  # it can be opened again
         stream.open()
         greys, times_s = frames_of(stream, EndOfStreamError)
-        assert greys == pytest.approx([40, 60, 80, 100, 120], abs=6)  # the first was probed
+        # Also the first, by which FFmpeg found out what it is, and which others may need.
+        assert greys == pytest.approx([20, 40, 60, 80, 100, 120], abs=6)
         assert (np.diff(times_s) > 0.0).all()
         stream.close()
     stream.close()
@@ -239,7 +240,7 @@ def test_a_packet_that_cannot_be_decoded_is_left_out(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(stream, "_container", type("Container", (), {"demux": staticmethod(demux)}))
     stream._frames = stream._decoded(0)
-    assert len(frames_of(stream, EndOfStreamError)[0]) == 5
+    assert len(frames_of(stream, EndOfStreamError)[0]) == 6
 
 
 def test_a_camera_that_stops_sending_is_gone(transport_stream: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
