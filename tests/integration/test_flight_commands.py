@@ -27,7 +27,7 @@ from cli_helpers import json_of, listing, outputs, refused, succeeds, write_work
 from marker_images import with_marker
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 from monoloc.flight.flight_recording import FlightRecorder, image_path
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import ros_frames_of
@@ -37,6 +37,7 @@ from monoloc.io.pose_table import COLUMNS, read_pose_table
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.rosbag import read as read_rosbag
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.live.replayed_recording import UnpacedRecording
 from monoloc.localizer import Localizer
 from monoloc.mavlink.autopilot_link import Attitude, AutopilotLink
 from monoloc.odometry.gyroscope import Gyroscope
@@ -468,6 +469,25 @@ def test_a_view_that_cannot_be_shown_leaves_nothing_that_refuses_the_next_flight
     with socket.create_server(("0.0.0.0", 0)) as taken:
         port = str(taken.getsockname()[1])
         refused(capfd, here, (*fly, "--view-port", port), "--view-port", "is not free", "another one")
+
+
+def test_a_view_names_a_camera_without_its_password(
+    capfd: Capture, here: Path, recording: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its page is open to the whole network."""
+    camera = UnpacedRecording(recording)
+    camera.name = "rtsp://camera/1"
+    names = []
+
+    def view(name: str, *_: object) -> None:
+        names.append(name)
+        raise SettingError("--view-port", "is seen", "go on")
+
+    monkeypatch.setattr("monoloc.cli.flight_options.open_live", lambda *_: camera)
+    monkeypatch.setattr("monoloc.cli.fly.flight_view", view)
+    fly = ("fly", "room.monoloc", "rtsp://user:secret@camera/1", "--camera", INTRINSICS, "--view-port", "9090")
+    refused(capfd, here, fly, "--view-port", "is seen", "go on")
+    assert names == ["room.monoloc: rtsp://camera/1"]
 
 
 def test_a_disk_that_is_full_at_the_last_row_takes_no_summary(

@@ -192,7 +192,7 @@ def fly(
             link = None if address is None else opened.enter_context(closing(link_to(address, flight_settings)))
             if view or view_port is not None:
                 shown = flight_view(
-                    f"{room}: {flight.source}",
+                    f"{room}: {frame_source.name}",  # anyone may look, and a source may hold a password
                     view_port,
                     flown.room,
                     camera,
