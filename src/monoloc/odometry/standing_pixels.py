@@ -86,7 +86,10 @@ class StandingMask:
 
     def hides(self, points: ArrayLike, pose: FloatArray) -> NDArray[np.bool_]:
         """Whether points (N, 3) of the world are behind what stands still, seen from a ``T_world_camera``, (N,)."""
-        return self.stands(self.camera.project(transform(invert(pose), points)))
+        pixels = self.camera.project(transform(invert(pose), points))
+        # A camera that flies past a point has it behind itself.
+        is_ahead = np.asarray(np.isfinite(pixels).all(axis=1))
+        return np.asarray(is_ahead & self.stands(np.where(is_ahead[:, None], pixels, 0.0)))
 
     def without(self, depth: DepthPrediction) -> DepthPrediction:
         """A depth image that has no depth where pixels stand still."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import invert, make_pose, so3_exp
 from monoloc.odometry.motion import Motion
-from monoloc.odometry.standing_pixels import StandingPixels
+from monoloc.odometry.standing_pixels import StandingMask, StandingPixels
 from synthetic_room import CAMERA, Room, RoomRecording, make_path
 
 FloatArray = NDArray[np.float64]
@@ -60,6 +60,13 @@ def test_guards_are_found_and_the_room_is_not_taken_for_them() -> None:
     assert found[GUARDS > 0].mean() > 0.9
     margin = cv2.dilate(GUARDS, np.ones((17, 17), np.uint8)) > 0
     assert found[~margin].mean() < 0.01
+
+
+def test_a_point_behind_the_camera_is_not_hidden() -> None:
+    """Landmarks that were ahead at the expected pose may be behind the measured one."""
+    mask = StandingMask(CAMERA, np.ones((12, 16), dtype=np.bool_))
+    is_hidden = mask.hides([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.1, 0.0, -0.02]], np.eye(4))
+    assert is_hidden.tolist() == [True, False, False]
 
 
 def test_without_guards_nothing_stands() -> None:
