@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.components import Components
 from monoloc.depth.predictor import DepthPrediction
-from monoloc.geometry import is_rigid
+from monoloc.geometry import is_rigid, made_rigid
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.odometry.motion import Motion, Translation
 
@@ -46,7 +47,7 @@ def checked_depth(depth: object, what: str) -> DepthPrediction:
 
 
 def checked_motion(motion: object, what: str) -> Motion:
-    """Of odometry, or of another sensor.
+    """Of odometry, or of another sensor, exactly rigid: a flight chains thousands, in which rounding adds up.
 
     Raises:
         TypeError: it is no :class:`Motion`.
@@ -67,7 +68,8 @@ def checked_motion(motion: object, what: str) -> Motion:
     for sd in (motion.translation_sd_m, motion.rotation_sd_rad):
         if sd is not None and not 0.0 < sd <= _MOST_SD:
             raise ValueError(f"{what} must have positive standard deviations, {_MOST_SD:g} at most, got {sd}")
-    return motion
+    exact = made_rigid(T)
+    return motion if np.array_equal(exact, T) else replace(motion, T_previous_current=exact)
 
 
 def check_frame(camera: Camera, color: Any, elapsed_s: Any, measured_depth: object, measured_motion: object) -> None:

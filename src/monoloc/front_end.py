@@ -233,7 +233,7 @@ class FrontEnd:
             self._depth_camera = camera
         odometry = self._odometry.step(color, depth_m, camera, rotation)
         if odometry is not None:
-            checked_motion(odometry, "the result of Components.odometry")
+            odometry = checked_motion(odometry, "the result of Components.odometry")
         stood_s = self._standing_image.update(odometry, measured, elapsed_s)
         motion = measured if stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
         return motion, stood_s

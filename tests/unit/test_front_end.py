@@ -275,6 +275,18 @@ def test_what_is_no_motion_of_odometry_is_refused(motion: Any, message: str) -> 
         make_front_end(_Odometry(motion)).observe(COLOR, 0.0, None, None)
 
 
+def test_the_motion_of_an_odometry_that_rounds_becomes_exactly_rigid() -> None:
+    """A flight chains thousands of motions: with the rounding of each, its poses would be rigid no longer."""
+    rounded = se3_exp([0.1, 0.0, 0.2, 0.0, 0.3, 0.1]).round(4)
+    front_end = make_front_end(_Odometry(None, Motion(rounded, inliers=7)))
+    front_end.observe(COLOR, 0.0, None, None)
+    motion = front_end.observe(NEXT, 0.1, None, None).motion
+    assert motion is not None and motion.inliers == 7
+    rotation = motion.T_previous_current[:3, :3]
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(motion.T_previous_current, rounded, atol=1e-4)
+
+
 def test_an_array_in_place_of_depth_or_motion_is_refused() -> None:
     array: Any = np.ones((32, 40), np.float32)
     depth = _Depth()
