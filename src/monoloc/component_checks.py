@@ -10,7 +10,8 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.components import Components
 from monoloc.depth.predictor import DepthPrediction
-from monoloc.geometry import is_rigid, made_rigid
+from monoloc.evaluation.consistency import is_covariance
+from monoloc.geometry import FloatArray, is_rigid, made_rigid
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.odometry.motion import Motion, Translation
 
@@ -58,8 +59,9 @@ def checked_motion(motion: object, what: str) -> Motion:
     T, covariance = motion.T_previous_current, motion.view_covariance
     if np.shape(T) != (4, 4) or not is_rigid(T):
         raise ValueError(f"{what} must have a rigid T_previous_current, (4, 4)")
-    if covariance is not None and not (np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()):
-        raise ValueError(f"{what} must have a finite view_covariance, (6, 6)")
+    if covariance is not None and not _is_covariance_of_pose(covariance):
+        problem = "must have a finite, symmetric and positive semidefinite view_covariance, (6, 6)"
+        raise ValueError(f"{what} {problem}")
     if motion.translation not in get_args(Translation):
         raise ValueError(f"{what} has translation {motion.translation!r}; it must be scaled, metric or unknown")
     if np.shape(motion.points) != (len(motion.log_depth_sd), 3):
@@ -70,6 +72,10 @@ def checked_motion(motion: object, what: str) -> Motion:
             raise ValueError(f"{what} must have positive standard deviations, {_MOST_SD:g} at most, got {sd}")
     exact = made_rigid(T)
     return motion if np.array_equal(exact, T) else replace(motion, T_previous_current=exact)
+
+
+def _is_covariance_of_pose(matrix: FloatArray) -> bool:
+    return np.shape(matrix) == (6, 6) and bool(np.isfinite(matrix).all() and is_covariance(matrix))
 
 
 def check_frame(camera: Camera, color: Any, elapsed_s: Any, measured_depth: object, measured_motion: object) -> None:

@@ -262,7 +262,8 @@ def test_image_of_wrong_size_or_type_is_refused(shape: tuple[int, ...], dtype: s
         (np.eye(4), "odometry must be a Motion or None, got ndarray"),
         (Motion(2.0 * np.eye(4)), "odometry must have a rigid T_previous_current"),
         (Motion(np.eye(4)[:3]), "odometry must have a rigid T_previous_current"),
-        (Motion(np.eye(4), view_covariance=np.full((6, 6), np.nan)), "odometry must have a finite view_covariance"),
+        (Motion(np.eye(4), view_covariance=np.full((6, 6), np.nan)), "odometry must have a finite, symmetric"),
+        (Motion(np.eye(4), view_covariance=np.diag([1.0, 1, 1, 1, 1, -1])), "positive semidefinite view_covariance"),
         (
             Motion(np.eye(4), points=np.ones((4, 3))),
             r"points \(N, 3\) and log_depth_sd \(N,\), got \(4, 3\) and \(0,\)",
