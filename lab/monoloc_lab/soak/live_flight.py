@@ -23,6 +23,7 @@ import numpy as np
 
 from monoloc.camera import Camera
 from monoloc.errors import MonolocError
+from monoloc.io.camera_file import write_camera
 from monoloc.machine import machine_facts
 from monoloc.mavlink.firmware import Firmware
 from monoloc_lab.soak.autopilot_peer import AutopilotPeer, Heard, MavsdkPeer
@@ -122,11 +123,10 @@ class _Flight:
         _end(self.stream, signal.SIGKILL)
 
     def start(self, record: Path | None = None) -> None:
-        c = self.camera
-        # The stream has the recording's images, whose distortion stays what it is.
-        numbers = (c.width, c.height, c.fx, c.fy, c.cx, c.cy, *(c.distortion if len(c.distortion) == 5 else ()))
+        camera = self.folder / "camera.toml"  # numbers on the command line describe no fisheye or rational lens
+        write_camera(camera, self.camera, {})
         command = [*_FLY, "fly", str(self.bundle), f"tcp://127.0.0.1:{self.camera_port}", "--json"]
-        command += ["--camera", ",".join(map(str, numbers)), "--firmware", self.firmware.value]
+        command += ["--camera", str(camera), "--firmware", self.firmware.value]
         command += ["--mavlink", f"udpout:127.0.0.1:{self.link_port}"]
         command += [] if record is None else ["--record", str(record)]
         errors = (self.folder / "fly.txt").open("ab")

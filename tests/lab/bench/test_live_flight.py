@@ -9,11 +9,23 @@ from typing import Any
 import pytest
 
 from cli_helpers import json_of, write_workspace
+from monoloc.camera import Camera
+from monoloc.cli.common import parse_intrinsics
 from monoloc.mavlink.firmware import Firmware
+from monoloc_lab.soak import live_flight
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 pytest.importorskip("av")
 pytest.importorskip("pymavlink")
+
+
+def test_a_flight_has_the_lens_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[list[str]] = []
+    monkeypatch.setattr(live_flight.subprocess, "Popen", lambda command, **_: started.append(command))
+    fisheye = Camera(640, 480, 300.0, 300.0, 320.0, 240.0, (0.1, -0.02, 0.01, 0.0), "fisheye")
+    live_flight._Flight(tmp_path, "7scenes:kitchen", "::", fisheye, 30.0, Firmware.PX4, tmp_path).start()
+    (command,) = started
+    assert parse_intrinsics(command[command.index("--camera") + 1])[0] == fisheye
 
 
 @pytest.mark.slow
