@@ -43,7 +43,8 @@ class LevelCells:
 def T_map_world(bundle: Bundle) -> FloatArray:
     """From the bundle's world to ROS's frame ``map``, z up, as ``monoloc fly --mcap`` publishes it, (4, 4).
 
-    Where the map does not tell gravity, it is the mean direction of the cameras' y axes; z, where there is none.
+    Where the map does not tell gravity, it is the mean direction of the cameras' y axes; z, where there is none. Then
+    this is not the frame that is published, which is the world itself.
     """
     down = bundle.provenance.down_world if bundle.down is None else bundle.down
     return RosFrames(np.eye(4), down if np.any(down) else None).T_map_room

@@ -9,8 +9,8 @@ import numpy as np
 import typer
 
 from monoloc.bundle import Bundle, read_bundle
-from monoloc.cli.common import JsonOption, naming, print_figures, stderr, warn
-from monoloc.cli.map_looking import BundleArgument
+from monoloc.cli.common import JsonOption, naming, print_figures, stderr
+from monoloc.cli.map_looking import BundleArgument, warn_of_up
 from monoloc.cli.output_checks import check_outputs
 from monoloc.errors import SettingError
 from monoloc.extras import require_extra
@@ -60,8 +60,7 @@ def command(
     if out is not None and out.suffix.lower() == ".png":
         require_extra("report")
     room = read_bundle(bundle)
-    if room.down is None:
-        warn(bundle.name, "floor and walls do not show the direction of gravity; up is that of the build's cameras")
+    warn_of_up(room, bundle.name)
     pitch_rad = None if pitch is None else float(np.deg2rad(pitch))
     with naming({"voxel_m": "--cell", "height_m": "--height"}):
         views = localizability(room, str(bundle), cell, height, pitch_rad, ConsoleProgress(stderr))

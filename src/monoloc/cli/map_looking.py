@@ -102,6 +102,7 @@ def render(
     if beside is not None:
         _check_world(views[0], views[1])
     if given is None:
+        warn_of_up(room, bundle.name)
         plot_from_above(out, views, T_map_world(room))
     else:
         with naming({"pose": "--pose" if reference is None else "--reference"}):
@@ -232,6 +233,13 @@ def _view(path: Path, bundle: Bundle, seed: int, points: int) -> MapView:
         poses=bundle.reference_poses.poses,
         edits=drawn_edits(bundle, rng),
     )
+
+
+def warn_of_up(bundle: Bundle, name: str) -> None:
+    """Warn where the map does not tell gravity: flights then publish the world itself as ROS's frame ``map``."""
+    if bundle.down is None:
+        problem = "floor and walls do not show the direction of gravity; up is that of the build's cameras"
+        warn(name, f"{problem}, and x, y and z are not those of ROS's frame map")
 
 
 def _check_world(before: MapView, after: MapView) -> None:

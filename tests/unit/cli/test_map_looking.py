@@ -80,6 +80,15 @@ def test_bundles_of_two_worlds_beside_each_other_are_warned_of(capfd: pytest.Cap
     assert "warning" not in outputs(capfd, *RENDER, "--beside", "later.monoloc")[1]
 
 
+def test_a_picture_whose_up_is_a_guess_is_not_in_the_frame_that_flights_publish(
+    capfd: pytest.CaptureFixture[str], here: Path
+) -> None:
+    (here / "room.monoloc").rename(here / "level.monoloc")
+    (here / "bare.monoloc").rename(here / "room.monoloc")  # a ball, which shows no floor
+    assert "not those of ROS's frame map" in outputs(capfd, *RENDER)[1]
+    assert "warning" not in outputs(capfd, "map", "render", "level.monoloc", "--out", "b.png")[1]
+
+
 @pytest.mark.parametrize("extra", [(), ("--reference", "3"), ("--beside", "later.monoloc")])
 def test_map_is_drawn(capfd: pytest.CaptureFixture[str], here: Path, extra: tuple[str, ...]) -> None:
     content = json_of(capfd, *RENDER, *extra)
