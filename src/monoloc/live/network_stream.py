@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from monoloc.live.capture_clock import CaptureClock
 from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
-_OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer"}  # TCP loses no packets
+_OPTIONS = {"rtsp_transport": "tcp"}  # TCP loses no packets
+_AT_ONCE_S = 0.005  # in which a packet comes that was there already
 _CAMERA_ONLY = "mpjpeg"  # images that replace one another; nobody stores them so
 # Containers of bare images hold no times: FFmpeg counts their frames, at 25 a second whatever the camera's rate.
 _WITHOUT_STAMPS = {_CAMERA_ONLY, "mjpeg", "h264", "hevc"}
@@ -29,6 +31,9 @@ class NetworkStream:
 
     A file on a server, whose size or duration is known, is played at its own pace, and ends; a camera that ends is
     gone and may come back.
+
+    To find out what a stream is, FFmpeg reads its first second or two. These images are decoded, since those after
+    them may build on the only key frame for a long time, but not given: they are old.
 
     Raises:
         MissingExtraError: PyAV is not installed.
@@ -43,18 +48,15 @@ class NetworkStream:
         self._is_file = self._has_stamps = False
         self._clock = CaptureClock()
         self._began_s: float | None = None  # when the stamp of a file was zero
+        self._opened_s = self._opening_s = self._waited_s = 0.0
+        self._first_stamp_s: float | None = None
 
     def open(self) -> None:
         import av
 
+        began_s = time.monotonic()
         try:
             self._container = av.open(self._url, options=_OPTIONS, timeout=_TIMEOUT_S)
-            self._is_file = self._states_an_end()
-            if self._is_file:
-                # With nobuffer, the frames by which FFmpeg finds out what a stream is are lost: a camera's are old,
-                # but those that follow in a file need them.
-                self._container.close()
-                self._container = av.open(self._url, timeout=_TIMEOUT_S)
             video = self._container.streams.video[0]
         except (av.FFmpegError, OSError, IndexError) as error:
             self.close()
@@ -63,7 +65,10 @@ class NetworkStream:
         video.thread_type = "SLICE"  # threads by frame add a frame of delay each
         self._frames = self._decoded(video)
         self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
+        self._is_file = self._states_an_end()
         self._clock, self._began_s = CaptureClock(), None
+        self._opened_s, self._first_stamp_s = time.monotonic(), None
+        self._opening_s = 0.0 if self._is_file else self._opened_s - began_s
 
     def _states_an_end(self) -> bool:
         """Whether what is open is a file, by its duration or size.
@@ -74,14 +79,32 @@ class NetworkStream:
         return not is_camera and (self._container.duration is not None or self._container.size > 0)
 
     def _decoded(self, video: Any) -> Iterator[Any]:
+        """The images, each after :attr:`_waited_s` tells how long its packet took to come."""
         import av
 
+        asked_s = time.monotonic()
         for packet in self._container.demux(video):
-            try:
+            self._waited_s = time.monotonic() - asked_s
+            frames = ()
+            with suppress(av.error.InvalidDataError):  # damaged, or before the first whole image
                 frames = packet.decode()
-            except av.error.InvalidDataError:  # damaged, or before the first whole image
-                continue
             yield from frames
+            asked_s = time.monotonic()
+
+    def _is_old(self, frame: Any, arrived_s: float) -> bool:
+        """Whether an image came while the stream was opened.
+
+        None is, from the first packet on that had to be waited for, and once as much time has passed as the opening
+        took: a computer that is slower than its stream catches up by leaving out images.
+        """
+        if self._waited_s > _AT_ONCE_S or arrived_s - self._opened_s > self._opening_s:
+            self._opening_s = 0.0
+            return False
+        if not self._has_stamps or frame.time is None:
+            return True
+        self._first_stamp_s = frame.time if self._first_stamp_s is None else self._first_stamp_s
+        passed_s = arrived_s - self._opened_s + self._opening_s
+        return bool(frame.time - self._first_stamp_s < passed_s)
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
         """See :meth:`monoloc.live.newest_frame.Grabber.grab`.
@@ -93,7 +116,8 @@ class NetworkStream:
 
         try:
             frame = next(self._frames)
-            arrived_s = time.monotonic()
+            while self._is_old(frame, arrived_s := time.monotonic()):
+                frame = next(self._frames)
         except StopIteration as error:
             raise (EndOfStreamError if self._is_file else CameraGoneError) from error
         except (av.FFmpegError, OSError) as error:

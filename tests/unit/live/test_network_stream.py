@@ -27,17 +27,21 @@ from synthetic_recordings import write_video
 av = pytest.importorskip("av")
 
 FRAMES = 60
-# FFmpeg reads some packets to find out what a stream is, and with nobuffer it does not give them again.
+# Images that come while FFmpeg finds out what a stream is are old once it is open.
 MOST_PROBED = 30
 
 
 @pytest.fixture(scope="module")
 def transport_stream(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A video of grey 4, 8 and so on, each image whole."""
+    return written_stream(tmp_path_factory.mktemp("video") / "stream.ts", key_frame_every=1)
+
+
+def written_stream(path: Path, key_frame_every: int) -> bytes:
     """A video of grey 4, 8 and so on, as MPEG-TS: the container for streams that are cut anywhere."""
-    path = tmp_path_factory.mktemp("video") / "stream.ts"
     with av.open(str(path), "w") as container:
         video = container.add_stream("mpeg2video", rate=25)
-        video.width, video.height, video.pix_fmt, video.gop_size = 64, 48, "yuv420p", 1
+        video.width, video.height, video.pix_fmt, video.gop_size = 64, 48, "yuv420p", key_frame_every
         for index in range(FRAMES):
             image = np.full((48, 64, 3), 4 * (index + 1), np.uint8)
             container.mux(video.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
@@ -207,6 +211,20 @@ def test_a_stream_over_a_socket_ends_with_its_last_frame_and_can_be_opened_again
             stream.close()
             assert greys == pytest.approx(list(range(4 * (FRAMES - len(greys) + 1), 4 * FRAMES + 1, 4)), abs=3)
             assert len(greys) >= FRAMES - MOST_PROBED
+
+
+def test_all_images_may_build_on_the_first_and_those_of_the_opening_are_not_given(tmp_path: Path) -> None:
+    """A stream of 25 images a second that begins with its only key frame when the camera is connected to."""
+    content = written_stream(tmp_path / "stream.ts", key_frame_every=FRAMES)
+    with served(content, pause_s=FRAMES / 25.0 / (len(content) / 1880)) as url:
+        stream, began_s = NetworkStream(url), time.monotonic()
+        stream.open()
+        color, _ = stream.grab()
+        age_s = time.monotonic() - began_s - float(color.mean()) / 4.0 / 25.0
+        greys, _ = frames_of(stream)
+        stream.close()
+    assert age_s < 0.5
+    assert greys[-1] == pytest.approx(4 * FRAMES, abs=3)
 
 
 def test_a_damaged_part_costs_its_frames_and_no_others(transport_stream: bytes) -> None:
