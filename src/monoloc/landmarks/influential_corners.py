@@ -31,7 +31,7 @@ def sd_without_influential_corners(place: LandmarkPose) -> float:
         Infinity where fewer than three corners would be left.
     """
     local = transform(invert(place.pose), place.points)
-    corner_of = _corner_of(local)
+    corner_of = corners_of(local)
     sizes = np.bincount(corner_of)
     if len(sizes) < _LEFT_OUT + _LEAST_CORNERS:
         return math.inf
@@ -46,8 +46,8 @@ def sd_without_influential_corners(place: LandmarkPose) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(_covariance(corners)[:3, :3])[-1]))
 
 
-def _corner_of(local: FloatArray) -> NDArray[np.int64]:
-    """The corner that each of N points belongs to, (N,), by their directions in the camera's frame."""
+def corners_of(local: FloatArray) -> NDArray[np.int64]:
+    """The corner that each of N points belongs to, (N,) from 0 on, by their directions in the camera's frame."""
     rays = local / np.linalg.norm(local, axis=1, keepdims=True)
     corner_of, corner, left = np.zeros(len(rays), dtype=np.int64), 0, np.arange(len(rays))
     while len(left) > 0:
