@@ -48,7 +48,7 @@ _APART_M, _RIVAL_SHARE = FAR_M, 0.3
 # the same matches lead to were at 0.02 at most; those with which more landmarks agreed, beyond (a desk, two bundles).
 _SAME_POSE = 0.02
 # Corners of a relocalisation, below which a share of the landmarks in view must be found. What repeats, such as the
-# keys of a keyboard, agrees with wrong poses by chance: in mirrored images at up to 15 corners, 1.9 % of those in view.
+# keys of a keyboard, agrees with wrong poses by chance: in mirrored images at up to 15 corners and 1.9 % of those.
 _MANY_CORNERS, _LEAST_FOUND = 16, 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _TRIPLES, _RIVAL_TRIPLES = 2000, 200  # of RANSAC
