@@ -14,6 +14,7 @@ from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, transform
 from monoloc.landmarks import orb_localizer
 from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.influential_corners import corners_of
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
@@ -102,6 +103,29 @@ def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLoca
     found = measure(narrow, color, pose, PRIOR)
     assert found.found >= 20 and found.pose is not None
     assert relocalize(narrow, color) is None and relocalize(wide, color) is not None
+
+
+def test_few_corners_do_not_relocalize_where_thousands_of_landmarks_should_be_in_view(
+    localizer: OrbLandmarkLocalizer,
+) -> None:
+    """Patterns that repeat agree with wrong poses by chance; where few landmarks are in view, few are enough."""
+    pose, rng = FLIGHT_POSES[30], np.random.default_rng(9)
+    color, _ = Room().view(pose)
+    room = localizer._landmarks
+    found = measure(localizer, color, pose, PRIOR)
+    agreeing = found.visible[found.is_found]
+    corners = corners_of(transform(invert(pose), room.points[agreeing].astype(np.float64)))
+    few = rng.permutation(agreeing[np.isin(corners, np.unique(corners)[::4][:15])])[:50]
+    strangers = np.float32(transform(pose, rng.uniform([-0.3, -0.2, 1.0], [0.3, 0.2, 1.5], (3000, 3))))
+    noise = rng.integers(0, 256, (3000, room.descriptors.shape[1]), dtype=np.uint8)
+
+    def is_found(known: NDArray[np.int64], others: int) -> bool:
+        points = np.concatenate([room.points[known], strangers[:others]])
+        descriptors = np.concatenate([room.descriptors[known], noise[:others]])
+        return relocalize(OrbLandmarkLocalizer(Landmarks(points, descriptors), CAMERA), color) is not None
+
+    assert is_found(few, 100) and not is_found(few, 3000)
+    assert is_found(agreeing, 3000)
 
 
 def test_landmarks_in_a_small_part_of_a_wide_image_relocalize(localizer: OrbLandmarkLocalizer) -> None:
