@@ -92,6 +92,8 @@ class PoseSender:
         if self._pose_rate.is_due(result.frame.captured_s):
             self._pose_rate.use(result.frame.captured_s)
             self._send_pose(result, pose)
+        else:
+            self._poses["beyond rate_hz"] += 1
         self._send_obstacles(result)
 
     def idle(self, now_s: float) -> None:

@@ -158,9 +158,11 @@ def test_a_stamp_that_the_flight_takes_though_it_is_ahead_is_sent() -> None:
 
 
 def test_rate_is_bounded() -> None:
-    flight, wire = sender(rate_hz=10.0)
+    poses = Counter[str]()
+    flight, wire = sender(rate_hz=10.0, poses=poses)
     for index in range(60):
         flight.take(result_at(index / 30.0, step_at(at(0.0))))
+    assert poses == {"sent": 20, "beyond rate_hz": 40}
     assert len(wire.of("ODOMETRY")) == 20 and 18 <= len(wire.of("OBSTACLE_DISTANCE")) <= 20
 
 
