@@ -115,11 +115,17 @@ def _read_columns(path: Path, _: list[str]) -> FloatArray:
         start = file.readline()
         first = start.decode("utf-8-sig", errors="replace")
         titles = first.lower().lstrip("#/ ")
-        names = [(title.split() or [""])[0] for title in titles.split(_separator(titles))]
-        if {"x", "y", "z"} <= set(names):
-            return _columns(file, (names.index("x"), names.index("y"), names.index("z")), path)
-        file.seek(len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0)
-        return _columns(file, (0, 1, 2), path)
+        names = [(title.split() or [""])[0] for title in titles.strip().split(_separator(titles))]
+        if not {"x", "y", "z"} <= set(names):
+            file.seek(len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0)
+            return _columns(file, (0, 1, 2), path)
+        row = next(_filled(file), b"")
+        cells = _cells(row)
+        if cells and not _are_as_many(names, cells):  # a sentence, or a column without a name: which is which?
+            problem = f"has {len(cells)} columns, and its first line names {len(names)}"
+            raise DataError(path, problem, "name each column by one word in the first line, or remove this line")
+        columns = (names.index("x"), names.index("y"), names.index("z"))
+        return _columns(itertools.chain([row], file), columns, path)
 
 
 def _columns(lines: Iterator[bytes], columns: tuple[int, int, int], path: Path) -> FloatArray:
@@ -127,7 +133,7 @@ def _columns(lines: Iterator[bytes], columns: tuple[int, int, int], path: Path) 
 
     Spreadsheets of languages with a decimal comma separate columns by semicolons.
     """
-    filled = (numbers for line in lines if (numbers := line.split(b"#")[0]).strip())
+    filled = _filled(lines)
     first = next(filled, b"")
     separator = _separator(first.decode("latin-1"))
     rows = itertools.chain([first], filled)
@@ -145,6 +151,22 @@ def _columns(lines: Iterator[bytes], columns: tuple[int, int, int], path: Path) 
         problem = f"cannot be read as {path.suffix[1:]} ({error})"
         fix = "separate columns by one of space, comma or semicolon; a decimal comma needs semicolons"
         raise DataError(path, problem, fix) from None
+
+
+def _filled(lines: Iterator[bytes]) -> Iterator[bytes]:
+    """Lines without their comments, except those that hold nothing else."""
+    return (numbers for line in lines if (numbers := line.split(b"#")[0]).strip())
+
+
+def _cells(row: bytes) -> list[str]:
+    line = row.decode("latin-1").strip()
+    return line.split(_separator(line)) if line else []
+
+
+def _are_as_many(names: list[str], cells: list[str]) -> bool:
+    """Whether there is a name for each cell; what follows a separator at the end of a line may be empty."""
+    longer = max(names, cells, key=len)
+    return abs(len(names) - len(cells)) <= (0 if longer[-1].strip() else 1)
 
 
 def _separator(line: str) -> str | None:

@@ -186,6 +186,19 @@ def test_commas_and_headers(tmp_path: Path, name: str, text: str) -> None:
     np.testing.assert_array_equal(read_cloud(tmp_path / name), POINTS)
 
 
+@pytest.mark.parametrize("first", ["# Column order: x y z r g", "# exported x y z", "x y z"])
+def test_first_line_without_a_name_for_each_column_is_refused(tmp_path: Path, first: str) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(f"{first}\n1 0.5 2.5 1.5 7\n2 0.5 2.5 1.6 7\n")
+    problem = f"has 5 columns, and its first line names {len(first.strip('# ').split())}"
+    refuses_data(lambda: read_cloud(path), path, problem, "name each column by one word in the first line")
+
+
+def test_rows_may_end_in_a_separator(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x,y,z\n0.5,2.5,1.5,\n")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv"), [[0.5, 2.5, 1.5]])
+
+
 @pytest.mark.parametrize("header", ["", "x;y;z\n"])
 def test_decimal_commas_between_semicolons(tmp_path: Path, header: str) -> None:
     (tmp_path / "a.csv").write_text(f"{header}1,637;1,270;1,041\n-0,5; 2 ;3,25\n")
