@@ -4,9 +4,10 @@ Poses ``transform_matrix`` are camera to world with OpenGL's camera axes. Intrin
 ``k1, k2, k3, k4, p1, p2`` are stated once or for each frame, with the centre of the top-left pixel at (0.5, 0.5).
 Files of instant-ngp and Blender may state the horizontal field of view ``camera_angle_x`` in radians in place of the
 intrinsics, and name .png images without their suffix.
-``depth_file_path`` is optional, in millimetres by default. Where poses were scaled by ``applied_scale``, this is
-undone; ``applied_transform`` turns the world, and stays. Sources: nerfstudio's ``nerfstudio_dataparser.py``, and its
-documentation, *Data conventions*; instant-ngp's ``nerf_loader.cu``.
+``depth_file_path`` is optional, in millimetres by default. The unit of poses that COLMAP found is arbitrary, and so
+is that of depth from its points. Where poses were scaled by ``applied_scale``, this is undone; ``applied_transform``
+turns the world, and stays. Sources: nerfstudio's ``nerfstudio_dataparser.py``, and its documentation, *Data
+conventions*; instant-ngp's ``nerf_loader.cu``.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from monoloc.io.image_files import checked_header
 from monoloc.io.images import ImageRecording, names_of, natural_order
 from monoloc.io.pose_files import OPENGL_AXES, UNTIMED, UNTIMED_RATE_HZ, checked_poses
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Remark
 
 FILE_NAME = "transforms.json"
 DEPTH_SCALE = 1000.0
@@ -34,6 +36,11 @@ _PERSPECTIVE = ("OPENCV", "PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RA
 _FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 _INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
 _CENTRED = "cx and cy are not stated; the optical axis is taken to be in the centre of the image"
+_SCALE = Remark(
+    "the poses' unit is taken to be one metre; if COLMAP found them, it is not: scale its model with colmap "
+    "model_aligner, and give that"
+)
+_OF_COLMAP = "colmap_im_id"  # in a frame's entry: ns-process-data, of COLMAP's poses; of a phone's it writes none
 _LEAST_SCALE = 1e-6
 _AGAIN = "run ns-process-data again"
 _NO_IMAGES = "copy the images to where it says, or correct file_path"
@@ -68,6 +75,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     camera, cameras = one_camera([_camera(shared | entry, file) for entry in entries], options, frames)
     used = frames.positions(file, _NO_IMAGES)
     used_color_paths = [color_paths[p] for p in used]
+    is_metric = has_depth and not any(_OF_COLMAP in entry for entry in entries)
     return ImageRecording(
         name=file.resolve().parent.name,
         folder=file.parent,
@@ -79,7 +87,11 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         depth_paths=[each for p in used if (each := depth_paths[p]) is not None] if has_depth else None,
         depth_scale=options.depth_scale or DEPTH_SCALE,
         cameras=None if cameras is None else [cameras[p] for p in used],
-        notes=[*frames.notes(), *([_CENTRED] if is_centred and options.camera is None else []), UNTIMED],
+        notes=[
+            *frames.notes(),
+            *([_CENTRED] if is_centred and options.camera is None else []),
+            *([UNTIMED] if is_metric else [UNTIMED, _SCALE]),
+        ],
     )
 
 

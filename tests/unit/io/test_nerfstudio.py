@@ -48,6 +48,19 @@ def test_scaled_poses_and_poses_of_three_rows(tmp_path: Path, capture: Capture) 
     check_opened(open_recording(str(rewrite(tmp_path, content))), capture, capture.depths_mm)
 
 
+def test_scale_of_poses_that_colmap_may_have_found_is_remarked(tmp_path: Path, capture: Capture) -> None:
+    content = write_nerfstudio(tmp_path, capture)
+    content["frames"][3]["colmap_im_id"] = 3
+    with_depth = open_recording(str(rewrite(tmp_path, content)))
+    for frame in content["frames"]:
+        frame.pop("colmap_im_id", None)
+        del frame["depth_file_path"]
+    without_depth = open_recording(str(rewrite(tmp_path, content)))
+    for recording in (with_depth, without_depth):
+        assert "the poses' unit is taken to be one metre; if COLMAP found them, it is not" in recording.notes[-1]
+        assert isinstance(recording.notes[-1], Remark)
+
+
 def test_intrinsics_may_be_those_of_each_frame(tmp_path: Path, capture: Capture) -> None:
     content = write_nerfstudio(tmp_path, capture)
     for frame in content["frames"]:
