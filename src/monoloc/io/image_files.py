@@ -12,11 +12,11 @@ from monoloc.array_files import decode_array
 from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.io.file_access import read_bytes
-from monoloc.io.image_header import ImageHeader, image_header, is_numpy, is_tiff
+from monoloc.io.image_header import ImageHeader, image_header, is_numpy, is_tiff, is_whole_jpeg
 from monoloc.io.image_resampling import resize_nearest
 
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
-_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_JPEG_START = b"\xff\xd8\xff"
 _EXR_START = b"v/1\x01"
 _TAIL_BYTES = 1024  # some cameras write a few bytes after the end marker
 _NO_DEPTH_16_BIT = 65535  # marks missing depth in 7-Scenes; elsewhere it is a saturated, invalid reading
@@ -157,10 +157,9 @@ def checked_header(data: bytes, path: Path) -> ImageHeader:
     if header is not None and header.width * header.height > _MOST_PIXELS:
         raise DataError(path, f"says it is {header.width}x{header.height}", "give images of a camera's size")
     # Some decoders return the available part of a truncated file.
-    tail = data[-_TAIL_BYTES:]
     if (
-        (data.startswith(_PNG_START) and _PNG_END not in tail)
-        or (data.startswith(_JPEG_START) and _JPEG_END not in tail)
+        (data.startswith(_PNG_START) and _PNG_END not in data[-_TAIL_BYTES:])
+        or (data.startswith(_JPEG_START) and not is_whole_jpeg(data))
         or (is_tiff(data) and header is None)
     ):
         raise DataError(path, "is cut short", "copy the file again")

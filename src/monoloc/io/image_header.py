@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 _PNG, _JPEG, _NUMPY = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"\x93NUMPY"
@@ -15,6 +16,7 @@ _TIFF = {b"II*\x00": "<", b"MM\x00*": ">"}  # byte order
 _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # TIFF tags
 _SHORT, _LONG = 3, 4  # TIFF types
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG markers that start a frame
+_APP1, _SCAN, _JPEG_END = 0xE1, 0xDA, b"\xff\xd9"  # JPEG markers
 _BARE = {0x01, *range(0xD0, 0xD9)}  # JPEG markers without a length
 _ENTRIES = 512  # more than any TIFF directory has
 
@@ -58,6 +60,13 @@ def image_header(data: bytes) -> ImageHeader | None:
     return None
 
 
+def is_whole_jpeg(data: bytes) -> bool:
+    """Whether a JPEG image has its end, whatever follows: phones append a video or another image, cameras zeros."""
+    scans = (at for marker, at in _jpeg_segments(data) if marker == _SCAN)
+    start = next(scans, None)  # a thumbnail in a segment before it has an end of its own
+    return start is not None and data.find(_JPEG_END, start) >= 0
+
+
 def is_tiff(data: bytes) -> bool:
     """Whether the data is a TIFF image."""
     return data[:4] in _TIFF
@@ -85,22 +94,27 @@ def _webp(data: bytes) -> ImageHeader | None:
 
 def _jpeg(data: bytes) -> ImageHeader | None:
     """Size from the start of the frame, and orientation from the EXIF segment before it."""
-    orientation, at = 1, 2
-    while at + 4 <= len(data):
-        if data[at] != 0xFF:
-            return None
+    orientation = 1
+    for marker, at in _jpeg_segments(data):
+        if marker in _FRAMES:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return ImageHeader(width, height, orientation)
+        if marker == _APP1 and data[at + 4 : at + 10] == b"Exif\0\0":
+            (length,) = struct.unpack_from(">H", data, at + 2)
+            orientation = _orientation(data[at + 10 : at + 2 + length])
+    return None
+
+
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int]]:
+    """Marker and start of each segment of a JPEG image, up to the first that pixels follow."""
+    at, marker = 2, 0
+    while at + 4 <= len(data) and data[at] == 0xFF and marker != _SCAN:
         marker = data[at + 1]
         if marker == 0xFF or marker in _BARE:
             at += 1 if marker == 0xFF else 2  # 0xFF may be repeated before a marker
             continue
-        (length,) = struct.unpack_from(">H", data, at + 2)
-        if marker in _FRAMES:
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return ImageHeader(width, height, orientation)
-        if marker == 0xE1 and data[at + 4 : at + 10] == b"Exif\0\0":
-            orientation = _orientation(data[at + 10 : at + 2 + length])
-        at += 2 + length
-    return None
+        yield marker, at
+        at += 2 + int(struct.unpack_from(">H", data, at + 2)[0])
 
 
 def _orientation(exif: bytes) -> int:

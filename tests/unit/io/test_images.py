@@ -62,6 +62,18 @@ def test_truncated_image_is_refused(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("appended", [bytes(4096), b"\0\0\0\x18ftypmp42" + bytes(range(200)) * 20])
+def test_jpeg_may_be_followed_by_more(folder: Path, appended: bytes) -> None:
+    """Phones append a video to their photos, and some cameras fill a block with zeros."""
+    image = folder / "color/000015.jpg"
+    expected, data = open_recording(str(folder)).color(1), image.read_bytes()
+    image.write_bytes(data + appended)
+    np.testing.assert_array_equal(open_recording(str(folder)).color(1), expected)
+    thumbnail = b"\xff\xe2\x00\x08EXIF\xff\xd9"  # its end is not that of the image
+    image.write_bytes(data[:2] + thumbnail + data[2:-2])
+    refuses_data(lambda: open_recording(str(folder)).color(1), image, "is cut short", "copy the file again")
+
+
 def test_image_that_vanished_is_refused(folder: Path) -> None:
     recording, image = open_recording(str(folder)), folder / "depth/000015.png"
     image.write_bytes(b"")
