@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from monoloc.calibration.board import Board
 from monoloc.calibration.board_views import BoardDetector, BoardView, diverse_views, sharp_views
 from monoloc.camera import Camera
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 from monoloc.io.file_access import read_bytes, visible
 from monoloc.io.image_files import checked_header
 from monoloc.io.video_frames import VideoFrames
 from monoloc.live.camera_device import CameraDevice
 from monoloc.live.frame_source import CameraGoneError
+from monoloc.live.opening import is_live
 from monoloc.progress import Progress
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
@@ -63,6 +64,7 @@ def read_views(
 
     Raises:
         DataError: the source is missing, holds no images or one that cannot be decoded, or images of different sizes.
+        SettingError: it is another camera.
     """
     device = _DEVICE.fullmatch(source)
     if device:
@@ -75,6 +77,9 @@ def read_views(
         total = len(frames.times_s())
         chosen = range(0, total, -(-total // _MOST_FRAMES))
         count, images = len(chosen), ((f"{source}, frame {index}", _gray(frames.read(index))) for index in chosen)
+    elif is_live(source):
+        fix = "record a video of the board, and give that, or camera:0"
+        raise SettingError("SOURCE", "is a camera that calibrate does not watch", fix)  # it may hold a password
     else:
         raise DataError(Path(source).absolute(), "does not exist", "give a folder of pictures, a video, or camera:0")
     found = _found(source, images, count, BoardDetector(board), progress)

@@ -266,6 +266,7 @@ def test_camera_command_writes_the_camera_that_other_commands_read(
     ("arguments", "problem"),
     [
         (["nowhere"], "nowhere: does not exist; give a folder of pictures, a video, or camera:0"),
+        (["rtsp://u:secret@camera/1"], "monoloc: SOURCE: is a camera that calibrate does not watch; record a video"),
         (["."], ".: holds no images; give a folder of pictures"),
         (["camera:0", "--size", "640"], "--size: is '640'; write width and height"),
         ([".", "--square-mm", "0"], "--square-mm: is 0.0; measure the side"),
