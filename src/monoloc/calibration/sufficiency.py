@@ -16,7 +16,8 @@ from monoloc.geometry import FloatArray
 LEAST_VIEWS = 10
 _CELLS = 6  # along a side of the image
 _LEAST_COVERAGE, _GOOD_COVERAGE = 0.35, 0.7  # of the cells that corners lie in
-_MOST_FOCAL_SD = 0.01  # relative: a pose is off by as much of its distance
+# Relative: a pose is off by as much of its distance. Views at two zooms, 520 and 560 pixels, give 0.008 and fit well.
+_MOST_FOCAL_SD, _GOOD_FOCAL_SD = 0.01, 0.005
 _MOST_RMS_PX, _GOOD_RMS_PX = 1.5, 0.5
 _OTHER_MODEL = "; another --model may fit better"
 _HELD_OUT_RATIO = 1.5  # of held-out over used views: the model follows noise
@@ -67,6 +68,9 @@ def assess(source: str, calibration: Calibration) -> list[str]:
         warnings.append(f"{problem}; distortion is a guess in the rest")
     if calibration.rms_px > _GOOD_RMS_PX:
         warnings.append(f"corners are off by {calibration.rms_px:.2f} pixels{_OTHER_MODEL}")
+    if relative_sd > _GOOD_FOCAL_SD:
+        problem = f"views agree on the focal length only to {100.0 * relative_sd:.1f} %"
+        warnings.append(f"{problem}; fix focus and zoom, tilt the board more, and take more views")
     if calibration.held_out_rms_px > _HELD_OUT_RATIO * calibration.rms_px:
         warnings.append(
             f"views that were held out fit to {calibration.held_out_rms_px:.2f} pixels, the others to "

@@ -127,6 +127,16 @@ def test_flat_views_are_refused() -> None:
         assess("views", calibrate_camera(views, BOARD, SIZE, "brown"))
 
 
+def test_views_at_two_zooms_are_said_to_disagree() -> None:
+    """Each view fits, as the board seems nearer or farther."""
+    zoomed = replace(CAMERAS["brown"], fx=1.07 * CAMERAS["brown"].fx, fy=1.07 * CAMERAS["brown"].fy)
+    rng, detect = np.random.default_rng(1), BoardDetector(BOARD)
+    images = [board_image(zoomed, BOARD, pose, rng) for pose in board_poses(zoomed, BOARD, 10, rng, 35.0)]
+    views = [*views_of("brown"), *(view for image in images if (view := detect("zoomed", image)) is not None)]
+    (warning,) = assess("views", calibrate_camera(views, BOARD, SIZE, "brown"))
+    assert re.match(r"views agree on the focal length only to 0\.\d %; fix focus and zoom, ", warning)
+
+
 def test_views_in_one_corner_are_refused() -> None:
     """The image is twice as large as what the board was shown in."""
     calibration = calibrate_camera(views_of("brown"), BOARD, (1280, 960), "brown")
