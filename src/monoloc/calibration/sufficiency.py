@@ -47,6 +47,9 @@ def assess(source: str, calibration: Calibration) -> list[str]:
     Raises:
         DataError: it is not determined by the views, or does not explain them.
     """
+    if len(calibration.views) < LEAST_VIEWS:
+        problem = f"leaves {len(calibration.views)} views that one camera explains, and {LEAST_VIEWS} are needed"
+        raise DataError(source, problem, "keep the board flat, hold still, fix the focus, and take more pictures")
     camera = calibration.camera
     relative_sd = float(calibration.sd[0] / camera.fx)
     cells = coverage_of(calibration.views, (camera.width, camera.height)) > 0

@@ -182,6 +182,18 @@ def test_too_few_views_and_another_board_are_refused() -> None:
         require_views("pictures", BoardViews(views_of("brown")[:3], SIZE, 4))
 
 
+def test_views_that_remain_without_outliers_are_counted() -> None:
+    rng = np.random.default_rng(0)
+    views = views_of("brown")[:11]
+    views[:2] = [
+        replace(view, pixels=view.pixels + rng.normal(scale=6.0, size=view.pixels.shape)) for view in views[:2]
+    ]
+    with pytest.raises(
+        DataError, match=r"leaves 9 views that one camera explains, and 10 are needed; keep the board"
+    ):
+        assess("views", calibrate_camera(views, BOARD, SIZE, "brown"))
+
+
 # --- Sources ---
 
 
