@@ -84,27 +84,31 @@ def _accept(data_set: DataSet, is_accepted: bool) -> None:
 
 
 def _fetch(data_set: DataSet, name: str, out: Path) -> None:
-    archive = out / Path(data_set.archive).name
+    archive, record = out / Path(data_set.archive).name, out / _CHECKSUMS
     download(data_set.archive, archive, ConsoleProgress(stderr))
-    _check(data_set, archive, out / _CHECKSUMS)
+    found = file_sha256(archive)
+    recorded = _read_checksums(record)
+    _check(data_set, archive, found, recorded, record)
     with whole_folder(target_of(out / name), is_synced=False) as folder:
         unpack(archive, folder)
+    if data_set.sha256 is None and data_set.archive not in recorded:  # a page in its place could not be unpacked
+        write_whole(record, json_text({**recorded, data_set.archive: found}).encode() + b"\n")
+        stderr.print(f"no checksum is published; recorded in {record}: {found}", soft_wrap=True)
     archive.unlink()
 
 
-def _check(data_set: DataSet, archive: Path, record: Path) -> None:
-    """Compare an archive with its checksum: the known one, else that of the first download, which is recorded."""
-    found = file_sha256(archive)
+def _read_checksums(record: Path) -> dict[str, str]:
     try:
-        recorded = _Checksums.validate_json(read_regular(record)) if record.exists() else {}
+        return _Checksums.validate_json(read_regular(record)) if record.exists() else {}
     except ValueError as error:
         fix = "remove it; the next download records its checksum"
         raise DataError(record, "holds no checksums by address", fix) from error
-    expected = data_set.sha256 or recorded.get(data_set.archive)
-    if expected is None:
-        write_whole(record, json_text({**recorded, data_set.archive: found}).encode() + b"\n")
-        stderr.print(f"no checksum is published; recorded in {record}: {found}", soft_wrap=True)
-    elif found != expected:
+
+
+def _check(data_set: DataSet, archive: Path, found: str, recorded: dict[str, str], record: Path) -> None:
+    """Compare an archive with its checksum: the known one, else that of the first download, if it was recorded."""
+    expected = data_set.sha256 or recorded.get(data_set.archive, found)
+    if found != expected:
         archive.unlink()
         fix = f"fetch it again, or ask its publisher whether it was changed ({record} holds the first)"
         raise DataError(data_set.archive, f"has SHA-256 {found}, not {expected}", fix)

@@ -87,6 +87,18 @@ def test_archive_that_changed_is_refused(
     assert not (tmp_path / "scene").exists()
 
 
+def test_page_in_place_of_an_archive_is_not_recorded(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], server: ArchiveServer
+) -> None:
+    """As of a network that asks to log in; else every whole archive would be refused, and removed, later."""
+    server.content = b"<html>Log in</html>"
+    assert invoke([*fetched(tmp_path)]) == 2
+    assert "scene.zip: is no whole archive" in capfd.readouterr().err
+    (tmp_path / "scene.zip").unlink()
+    server.content = SCENE
+    succeeds(capfd, *fetched(tmp_path))
+
+
 @pytest.mark.parametrize("content", ["[]", "no JSON", '{"https://example.org": 1}'])
 def test_damaged_record_of_checksums_is_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], server: ArchiveServer, content: str
