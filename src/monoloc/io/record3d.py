@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import lzma
+import os
 import zipfile
 import zlib
 from pathlib import Path
@@ -141,17 +142,20 @@ class Record3DRecording:
 
 
 class _Archive:
-    """Members of a ``.r3d``, zipped or unpacked. It is opened for each member, for use by other processes."""
+    """Members of a ``.r3d``, zipped or unpacked.
+
+    It is opened once by each process that uses it: a list of tens of thousands of members is read for a second.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._members: dict[str, int] | None = None  # uncompressed size of each; None of a folder
+        self._opened: tuple[int, zipfile.ZipFile] | None = None  # by the process of this number
         self._within = ""  # folder of the archive that holds the members, where it was packed again with one
         if not path.is_dir():
             require_file(path.absolute(), "give a .r3d file of Record3D, or the folder of an unpacked one")
             try:
-                with zipfile.ZipFile(path) as file:
-                    self._members = {each.filename: each.file_size for each in file.infolist()}
+                self._members = {each.filename: each.file_size for each in self._file().infolist()}
             except (zipfile.BadZipFile, OSError) as error:
                 raise DataError(path, f"cannot be read as a .r3d archive ({error})", _AGAIN) from error
             inner = [name for name in self._members if name.endswith(f"/{_METADATA}")]
@@ -173,11 +177,19 @@ class _Archive:
         if self._members[stored] > _MOST_BYTES:
             raise DataError(self.path / member, f"says it is {self._members[stored] / 1e6:.0f} MB", _AGAIN)
         try:
-            with zipfile.ZipFile(self.path) as file:
-                return file.read(stored)
+            return self._file().read(stored)
         # RuntimeError: encrypted, or compressed by a method that this Python lacks.
         except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, RuntimeError) as error:
             raise DataError(self.path / member, "cannot be unpacked", "copy the .r3d file again") from error
+
+    def _file(self) -> zipfile.ZipFile:
+        """The archive, opened by this process: with its parent it would share the place that is read."""
+        if self._opened is None or self._opened[0] != os.getpid():
+            self._opened = (os.getpid(), zipfile.ZipFile(self.path))
+        return self._opened[1]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_opened": None}
 
 
 def _decoder() -> Any:
