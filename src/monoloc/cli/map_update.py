@@ -29,6 +29,7 @@ from monoloc.cli.common import (
     say_written,
     stderr,
 )
+from monoloc.cli.map_looking import warn_of_up
 from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
 from monoloc.editing.as_found import AsFound
@@ -201,6 +202,7 @@ def _draw(
         )
         for title, room in (("before", before), (which, after))
     )
+    warn_of_up(before, name)
     plot_update(
         path,
         first,
