@@ -26,7 +26,9 @@ _MOST_SIDE_PX, _KEYPOINTS = 960, 1500
 _NEIGHBOURS = (1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32)  # keyframes apart that are matched
 _LOOP_FRAMES = 40  # spread evenly, all of which are matched with each other, so that loops close
 _PAIRS_AT_ONCE = 100
-_LEAST_TRACK = 3  # observations of a point
+LEAST_TRACK = 3
+"""Observations of a point."""
+
 _LEAST_FRAMES, _LEAST_SHARE = 8, 1.0 / 3.0  # placed of the keyframes
 _TURNING = 0.5  # share of matched pairs that one homography explains, from which the camera only turns
 _REFINED = ("f", "k1", "k2")
@@ -198,7 +200,7 @@ def _refined_camera(model: Any, name: str) -> tuple[Camera, dict[str, float]]:
 def _sparse_model(
     model: Any, camera: Camera, camera_sd: dict[str, float], keyframes: NDArray[np.int64]
 ) -> SparseModel:
-    tracks = {number: point for number, point in model.points3D.items() if point.track.length() >= _LEAST_TRACK}
+    tracks = {number: point for number, point in model.points3D.items() if point.track.length() >= LEAST_TRACK}
     row_of = {number: row for row, number in enumerate(tracks)}
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     poses, frame, point, pixels = [], [], [], []

@@ -25,11 +25,14 @@ class MetricScale:
         metres: of one unit.
         sd: relative standard deviation.
         how: what it was measured by, for people.
+        is_bent: (F,) frames of the model whose own scale is another, so that their poses are wrong; None where what
+            measured the scale does not tell.
     """
 
     metres: float
     sd: float
     how: str
+    is_bent: NDArray[np.bool_] | None = None
 
 
 class ScaleSource(Protocol):

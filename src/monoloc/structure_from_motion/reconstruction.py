@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.errors import DataError
 from monoloc.extras import require_structure_from_motion
 from monoloc.geometry import FloatArray
 from monoloc.io.image_resampling import resize_nearest
@@ -21,11 +22,12 @@ from monoloc.progress import NoProgress, Progress
 from monoloc.structure_from_motion.dense_depth import dense_depth, small_camera
 from monoloc.structure_from_motion.keyframe_choice import choose_keyframes
 from monoloc.structure_from_motion.levelling import levelled
-from monoloc.structure_from_motion.mapping import map_keyframes
+from monoloc.structure_from_motion.mapping import LEAST_TRACK, map_keyframes
 from monoloc.structure_from_motion.metric_scale import MetricScale, ScaleSource
 from monoloc.structure_from_motion.sparse_model import SparseModel
 
 _DOWN = np.array([0.0, 0.0, -1.0])  # of a levelled model
+_MOST_BENT = 0.4  # share of the keyframes
 
 
 class ReconstructedRecording:
@@ -115,14 +117,25 @@ def reconstruct(
     try:
         unscaled = map_keyframes(recording, keyframes, refine_camera, seed, progress)
         depths = dense_depth(recording, unscaled, progress)
+        metric = scale.measure(recording, unscaled, depths)
+        if metric.is_bent is not None and metric.is_bent.any():
+            _check_bent(recording.name, metric.is_bent)
+            unscaled = unscaled.without(metric.is_bent, LEAST_TRACK)
+            depths = dense_depth(recording, unscaled, progress)  # neighbours were bent
     finally:
         cv2.setNumThreads(threads)
-    metric = scale.measure(recording, unscaled, depths)
     depths = [depth * np.float32(metric.metres) for depth in depths]
     model, is_upright = levelled(unscaled.scaled(metric.metres), depths, np.random.default_rng(seed))
     notes = _notes(recording, model, metric, is_upright)
     found = ReconstructedRecording(recording, model, depths, metric.sd, is_upright, notes)
     return Reconstruction(found, model, depths, metric, is_upright)
+
+
+def _check_bent(name: str, is_bent: NDArray[np.bool_]) -> None:
+    """Refuse a model of which a large part is bent: the rest may be, too."""
+    if is_bent.mean() > _MOST_BENT:
+        problem = f"is bent: depth contradicts {np.count_nonzero(is_bent)} of {len(is_bent)} keyframes"
+        raise DataError(name, problem, "film it again: flat surfaces and screens that change mislead it")
 
 
 def _notes(recording: Recording, model: SparseModel, scale: MetricScale, is_upright: bool) -> list[str]:
@@ -138,7 +151,10 @@ def _notes(recording: Recording, model: SparseModel, scale: MetricScale, is_upri
         notes.append(
             f"the focal length is {model.camera.fx:.0f} ± {model.camera_sd['f']:.0f} px, found with the poses"
         )
-    lost = model.tried - len(model.frames)
+    bent = 0 if scale.is_bent is None else int(np.count_nonzero(scale.is_bent))
+    if bent:
+        notes.append(f"{bent} of {model.tried} keyframes are left out: depth contradicts their poses")
+    lost = model.tried - len(model.frames) - bent
     if lost:
         notes.append(f"{lost} of {model.tried} keyframes are left out: they could not be placed")
     return notes

@@ -37,6 +37,22 @@ class SparseModel:
     pixels: FloatArray
     tried: int
 
+    def without(self, is_left_out: NDArray[np.bool_], least: int) -> SparseModel:
+        """The model without some of its F frames, and without points that fewer than ``least`` of the others see."""
+        is_kept = ~is_left_out
+        is_seen = is_kept[self.frame]
+        is_known = np.bincount(self.point[is_seen], minlength=len(self.points)) >= least
+        is_seen &= is_known[self.point]
+        return replace(
+            self,
+            frames=self.frames[is_kept],
+            poses=self.poses[is_kept],
+            points=self.points[is_known],
+            frame=(np.cumsum(is_kept) - 1)[self.frame[is_seen]],
+            point=(np.cumsum(is_known) - 1)[self.point[is_seen]],
+            pixels=self.pixels[is_seen],
+        )
+
     def scaled(self, factor: float) -> SparseModel:
         """The same model in another unit: all lengths are multiplied."""
         poses = self.poses.copy()

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, MissingExtraError
 from monoloc.geometry import FloatArray, make_pose, nearest_rotation, rotation_angle, so3_exp
 from monoloc.io.colmap import parameters_of
 from monoloc.io.folder_writer import write_folder
-from monoloc.io.recording import recorded_down
+from monoloc.io.recording import Recording, recorded_down
 from monoloc.io.registry import open_recording
 from monoloc.progress import NoProgress
 from monoloc.structure_from_motion import reconstruction
 from monoloc.structure_from_motion.depth_scale import DepthScale
 from monoloc.structure_from_motion.mapping import map_keyframes
+from monoloc.structure_from_motion.metric_scale import MetricScale
 from monoloc.structure_from_motion.reconstruction import Reconstruction, reconstruct
+from monoloc.structure_from_motion.sparse_model import SparseModel
 from refusals import refuses
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -75,6 +80,39 @@ def walk_up(found: Reconstruction) -> FloatArray:
     truth = make_path(12, rate_hz=3.0)[found.model.frames]
     R = nearest_rotation(np.einsum("nij,nkj->ik", truth[:, :3, :3], found.model.poses[:, :3, :3]))
     return np.asarray(R @ [0.0, 0.0, 1.0])
+
+
+class _Bent:
+    """A scale that some keyframes contradict."""
+
+    def __init__(self, bent: list[int]) -> None:
+        self._bent = bent
+
+    def frames(self, recording: Recording) -> list[int]:
+        return []
+
+    def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
+        scale = DepthScale().measure(recording, model, depths)
+        return replace(scale, is_bent=np.isin(np.arange(len(depths)), self._bent))
+
+
+def test_frames_of_a_bent_part_are_left_out(walk: RoomRecording, found: Reconstruction) -> None:
+    left = reconstruct(walk, _Bent([4, 5]), refine_camera=False)
+    assert left.model.frames.tolist() == np.delete(found.model.frames, [4, 5]).tolist()
+    assert len(left.recording) == len(left.depths) == len(found.depths) - 2
+    assert (
+        sum(
+            f"2 of {left.model.tried} keyframes are left out: depth contradicts" in note
+            for note in left.recording.notes
+        )
+        == 1
+    )
+    many = list(range(6))
+    refuses(
+        lambda: reconstruct(walk, _Bent(many), refine_camera=False),
+        DataError,
+        "is bent: depth contradicts 6 of . keyframes; film",
+    )
 
 
 def test_recording_is_of_the_placed_frames(walk: RoomRecording, found: Reconstruction) -> None:

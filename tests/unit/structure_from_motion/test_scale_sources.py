@@ -42,6 +42,28 @@ def test_depth_of_the_recording_gives_the_scale(walk: RoomRecording, model: Spar
     found = DepthScale().measure(walk, model, own_depths(walk))
     assert found.metres == pytest.approx(UNIT_M, rel=0.002)
     assert 0.015 <= found.sd < 0.016  # a sensor's own error, as all frames agree
+    assert found.is_bent is not None and not found.is_bent.any()
+
+
+def test_depth_tells_where_the_model_is_bent(walk: RoomRecording, model: SparseModel) -> None:
+    """As where a flat view and a screen that changed gave a part of the walk another scale."""
+    bent = [3, 4, 5]
+    depths = [depth * np.float32(1.7 if index in bent else 1.0) for index, depth in enumerate(own_depths(walk))]
+    found = DepthScale().measure(walk, model, depths)
+    assert found.metres == pytest.approx(UNIT_M, rel=0.002)
+    assert found.is_bent is not None and np.flatnonzero(found.is_bent).tolist() == bent
+
+
+def test_model_without_frames_keeps_the_points_that_others_see(model: SparseModel) -> None:
+    frame, point = np.repeat(np.arange(4), 3), np.array([0, 1, 2, 0, 1, 3, 0, 2, 3, 0, 2, 1])
+    pixels = np.arange(24.0).reshape(12, 2)
+    seen = replace(model, frames=np.arange(4) * 10, poses=model.poses[:4], frame=frame, point=point, pixels=pixels)
+    left = seen.without(np.array([False, True, False, False]), least=3)
+    assert left.frames.tolist() == [0, 20, 30]
+    np.testing.assert_array_equal(left.points, model.points[[0, 2]])
+    np.testing.assert_array_equal(left.poses, model.poses[[0, 2, 3]])
+    assert [left.seen(each)[0].tolist() for each in range(3)] == [[0, 1], [0, 1], [0, 1]]
+    np.testing.assert_array_equal(left.seen(1)[1], pixels[[6, 7]])
 
 
 def test_networks_depth_gives_the_scale(
