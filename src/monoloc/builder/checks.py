@@ -138,8 +138,8 @@ def _refused_or_warned(name: str, check: TimeCheck | DepthCheck, before_remedy: 
 
 
 def _check_scale(recording: Recording, cloud: FloatArray, model: DepthModel) -> list[str]:
-    """Compare the sensor's depth, or else the cloud's, with that of a metric network."""
-    if not model.spec.is_usable:
+    """Compare the sensor's depth, or else the cloud's, with that of a network of known scale."""
+    if model.spec.scale is None:
         return []
     depth_of = recording.depth if recording.has_depth else map_depth(recording, cloud)
     what = "depth" if recording.has_depth else "the cloud"
@@ -175,7 +175,7 @@ def check_frames(
         cloud, mixture: the room's cloud, (N, 3) world frame, metres, and the map fitted to it.
         cloud_is_given: whether the cloud was supplied separately, so that its frame may differ from that of the
             poses.
-        model: predicts depth if the recording has none; if it is metric, the scales are compared.
+        model: predicts depth if the recording has none; if its scale is known, the scales are compared.
         rng: draws the scan points.
 
     Returns:
@@ -196,7 +196,7 @@ def check_frames(
         problem = f"{blind} of {len(seen)} frames looked at see next to nothing of {what}"
         raise DataError(recording.name, problem, "give poses and cloud in one frame, in metres")
     warnings: list[str] = []
-    if cloud_is_given and (recording.has_depth or model.spec.is_usable):
+    if cloud_is_given and (recording.has_depth or model.spec.scale is not None):  # else it is fitted later
         # Do not use the supervision: where the sensor has no depth it holds the cloud's own depth, which always fits.
         predictor = None if recording.has_depth else DepthPredictor(model, recording.camera)
         posed_scans = []

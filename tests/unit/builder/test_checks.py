@@ -120,6 +120,16 @@ def test_poses_in_the_clouds_frame_give_no_warning(
     assert check(RoomRecording(Room(), flying(), SMALL_CAMERA, has_depth), *room_map) == []
 
 
+@pytest.mark.parametrize("has_depth", [True, False])
+def test_network_whose_scale_is_fitted_later_judges_nothing(
+    room_map: tuple[FloatArray, GaussianMixture], has_depth: bool
+) -> None:
+    model = depth_from_blue()
+    far = model.spec.model_copy(update={"scale": None, "mean": (0.5, 0.5, -0.7)})  # dozens of times as far
+    recording = RoomRecording(Room(), flying(), SMALL_CAMERA, has_depth)
+    assert check_frames(recording, *room_map, True, replace(model, spec=far), np.random.default_rng(0)) == []
+
+
 def in_another_frame(name: str, has_depth: bool) -> RoomRecording:
     recording = RoomRecording(Room(), flying(), SMALL_CAMERA, has_depth)
     recording.poses = OTHER_FRAMES[name](flying())
