@@ -98,7 +98,7 @@ class VideoFrames:
         if is_empty:
             raise DataError(self.path, "is empty: it has no frame", "record it again")
         if not times_ms:
-            raise DataError(self.path, "has no frame that can be decoded", "convert it to .mp4")
+            raise DataError(self.path, "has no frame that can be decoded", "convert it to H.264 (.mp4)")
         times_s, notes = np.array(times_ms) / 1000.0, [] if notes is None else notes
         right = _increasing(times_s)
         count, wrong = len(times_s), len(times_s) - len(right)

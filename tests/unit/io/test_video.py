@@ -126,6 +126,18 @@ def test_video_without_times_needs_a_frame_rate(tmp_path: Path, monkeypatch: pyt
     ]
 
 
+def test_video_of_a_code_that_is_not_decoded_is_to_be_converted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as AV1, which phones write as .mp4, too."""
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    monkeypatch.setattr(cv2, "VideoCapture", UntimedCapture)
+    monkeypatch.setattr(UntimedCapture, "grab", lambda _: False, raising=False)
+    problem, fix = "has no frame that can be decoded", r"convert it to H\.264 \(\.mp4\)"
+    refuses_data(lambda: open_recording(str(path), VIDEO_OPTIONS), path, problem, fix)
+
+
 def test_one_doubled_time_stamp_of_a_file_is_interpolated(tmp_path: Path) -> None:
     path = tmp_path / "flight.mp4"
     synthetic.write_uneven_video(path, [1, 3, 0, 4, 2, 2])
