@@ -177,7 +177,8 @@ class VisualOdometry:
             T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
         self._gray, self._T_r_previous, self._last_motion = gray, T_r_current, T_previous_current.copy()
         points = transform(invert(T_r_current), self._tracks.points)
-        return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd, view_covariance=covariance)
+        log_depth_sd = self._tracks.log_depth_sd.copy()  # the result is the caller's to write in
+        return Motion(T_previous_current, inliers, points, log_depth_sd, view_covariance=covariance)
 
     def _follow(self, gray: NDArray[np.uint8], expected: FloatArray) -> _Found | None:
         """Track the corners into ``gray`` and solve for its ``T_r_camera``; with the tracks but for outliers.

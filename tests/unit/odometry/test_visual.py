@@ -65,6 +65,16 @@ def test_motion_of_every_frame(recording):
     assert min(motion.inliers for motion in motions) > 100
 
 
+def test_a_motion_that_its_reader_writes_in_changes_no_later_one(recording: RoomRecording) -> None:
+    odometry, other = VisualOdometry(recording.camera), VisualOdometry(recording.camera)
+    for index in range(6):
+        motion, untouched = step(odometry, recording, index), step(other, recording, index)
+        if motion is not None and untouched is not None:
+            np.testing.assert_array_equal(motion.log_depth_sd, untouched.log_depth_sd)
+            for array in (motion.T_previous_current, motion.points, motion.log_depth_sd):
+                array[:] = 9.0
+
+
 def test_image_that_was_followed_and_whose_depth_then_failed_leaves_nothing(recording: RoomRecording) -> None:
     odometry, twin = VisualOdometry(CAMERA), VisualOdometry(CAMERA)
     for each in (odometry, twin):
