@@ -40,7 +40,8 @@ class ModelSpec(BaseModel):
         mean, std: normalisation of red, green and blue, for values from 0 to 1, so at most 2.
         channels, layout: order of the colour channels and of the input's axes.
         output: quantity of the network's first output.
-        metric: whether that output is in metres (1/m for disparity); if not, scale and shift must be fitted.
+        metric: whether that output is in metres (1/m for disparity) up to the factor ``scale``; if not, scale and
+            shift must be fitted.
         scale, shift: ``depth = scale * raw + shift``, ``1 / depth = scale * raw + shift`` for disparity, and
             ``depth = scale * exp(raw)`` for log-depth. A scale of None is fitted by ``monoloc build``, and counts as
             1 until then.

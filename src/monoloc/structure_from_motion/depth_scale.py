@@ -64,9 +64,10 @@ class NetworkScale:
 
     def frames(self, recording: Recording) -> list[int]:
         """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.frames`."""
-        if not read_network(self.network).spec.is_usable:
-            problem = f"is network, but {self.network} gives relative depth"
-            raise SettingError("scale", problem, "name a network that predicts metres, as network:NAME")
+        if read_network(self.network).spec.scale is None:
+            problem = f"is network, but {self.network} does not state its scale"
+            fix = "name a network that predicts metres, as network:NAME, or state its scale in its .toml"
+            raise SettingError("scale", problem, fix)
         return []
 
     def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:

@@ -252,9 +252,12 @@ def test_other_options_are_refused(text: str, problem: str, fix: str) -> None:
     refuses_setting(lambda: parse_scale(text, has_depth=True), "scale", problem, fix)
 
 
-def test_relative_network_is_refused(walk: RoomRecording, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("metric", [False, True])
+def test_network_whose_scale_is_not_known_is_refused(
+    walk: RoomRecording, monkeypatch: pytest.MonkeyPatch, metric: bool
+) -> None:
     model = depth_from_blue()
-    relative = model.spec.model_copy(update={"scale": None, "metric": False})
+    relative = model.spec.model_copy(update={"scale": None, "metric": metric})
     monkeypatch.setattr(depth_scale, "read_network", lambda name: type(model)(model.content, relative, model.name))
-    with pytest.raises(SettingError, match=r"scale: is network, but full-0\.35 gives relative depth; name a network"):
+    with pytest.raises(SettingError, match=r"scale: is network, but full-0\.35 does not state its scale; name"):
         NetworkScale().frames(walk)
