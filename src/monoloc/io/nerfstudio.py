@@ -4,7 +4,8 @@ Poses ``transform_matrix`` are camera to world with OpenGL's camera axes. Intrin
 ``k1, k2, k3, k4, p1, p2`` are stated once or for each frame, with the centre of the top-left pixel at (0.5, 0.5).
 Files of instant-ngp and Blender may state the horizontal field of view ``camera_angle_x`` in radians in place of the
 intrinsics, and name .png images without their suffix.
-``depth_file_path`` is optional, in millimetres by default. The unit of poses that COLMAP found is arbitrary, and so
+``depth_file_path`` is optional, in millimetres by default. NeRFCapture and instant-ngp name it ``depth_path``, and
+``integer_depth_scale`` is then the metres of a stored one. The unit of poses that COLMAP found is arbitrary, and so
 is that of depth from its points. Where poses were scaled by ``applied_scale``, this is undone; ``applied_transform``
 turns the world, and stays. Sources: nerfstudio's ``nerfstudio_dataparser.py``, and its documentation, *Data
 conventions*; instant-ngp's ``nerf_loader.cu``.
@@ -27,7 +28,7 @@ from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.image_files import checked_header
 from monoloc.io.images import ImageRecording, names_of, natural_order
 from monoloc.io.pose_files import OPENGL_AXES, UNTIMED, UNTIMED_RATE_HZ, checked_poses
-from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.reader_options import ReaderOptions, depth_scale_problem
 from monoloc.io.recording import Remark
 
 FILE_NAME = "transforms.json"
@@ -41,6 +42,7 @@ _SCALE = Remark(
     "model_aligner, and give that"
 )
 _OF_COLMAP = "colmap_im_id"  # in a frame's entry: ns-process-data, of COLMAP's poses; of a phone's it writes none
+_METRES = "integer_depth_scale"
 _LEAST_SCALE = 1e-6
 _AGAIN = "run ns-process-data again"
 _NO_IMAGES = "copy the images to where it says, or correct file_path"
@@ -85,7 +87,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         poses=_poses(content, entries, file)[used],
         color_paths=used_color_paths,
         depth_paths=[each for p in used if (each := depth_paths[p]) is not None] if has_depth else None,
-        depth_scale=options.depth_scale or DEPTH_SCALE,
+        depth_scale=options.depth_scale or _depth_scale(content, file),
         cameras=None if cameras is None else [cameras[p] for p in used],
         notes=[
             *frames.notes(),
@@ -113,9 +115,19 @@ def _color_path(entry: dict[str, Any], folder: Path) -> Path:
 
 
 def _depth_path(entry: dict[str, Any], folder: Path) -> Path | None:
-    name = entry.get("depth_file_path")
+    name = entry.get("depth_file_path", entry.get("depth_path"))
     path = folder / name if isinstance(name, str) else None
     return path if path is not None and path.is_file() else None
+
+
+def _depth_scale(content: dict[str, Any], path: Path) -> float:
+    """Stored depth value of one metre."""
+    if _METRES not in content:
+        return DEPTH_SCALE
+    metres = json_number(content, _METRES, path)
+    if metres <= 0.0 or (problem := depth_scale_problem(1.0 / metres)) is not None:
+        raise DataError(path, f"{_METRES} is {metres!r}, that of no program", "give --depth-scale")
+    return 1.0 / metres
 
 
 def _poses(content: dict[str, Any], entries: list[dict[str, Any]], path: Path) -> FloatArray:

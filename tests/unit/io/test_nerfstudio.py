@@ -114,6 +114,20 @@ def test_field_of_view_that_is_none_is_refused(
     refuses_to_open(tmp_path, tmp_path / "transforms.json", problem, fix)
 
 
+def test_depth_of_nerfcapture_is_read_in_its_unit(tmp_path: Path, capture: Capture) -> None:
+    content = write_nerfstudio(tmp_path, capture)
+    known = open_recording(str(tmp_path)).depth(4)
+    for frame in content["frames"]:
+        frame["depth_path"] = frame.pop("depth_file_path")
+    content["integer_depth_scale"] = 10.0 / 65535.0
+    depth = open_recording(str(rewrite(tmp_path, content))).depth(4)
+    assert known.any()
+    np.testing.assert_allclose(depth, known * np.float32(1000.0 * 10.0 / 65535.0), rtol=1e-5)
+    for wrong in (0.0, -0.1, 1e3):
+        path = rewrite(tmp_path, content | {"integer_depth_scale": wrong}) / "transforms.json"
+        refuses_data(lambda path=path: open_recording(str(path)), path, "integer_depth_scale is", "--depth-scale")
+
+
 def test_incomplete_frames_are_counted(tmp_path: Path, capture: Capture) -> None:
     content = write_nerfstudio(tmp_path, capture)
     (tmp_path / "images/frame_2.jpg").unlink()
