@@ -125,7 +125,7 @@ def _depth_scale(content: dict[str, Any], path: Path) -> float:
     if _METRES not in content:
         return DEPTH_SCALE
     metres = json_number(content, _METRES, path)
-    if metres <= 0.0 or (problem := depth_scale_problem(1.0 / metres)) is not None:
+    if metres <= 0.0 or depth_scale_problem(1.0 / metres) is not None:
         raise DataError(path, f"{_METRES} is {metres!r}, that of no program", "give --depth-scale")
     return 1.0 / metres
 

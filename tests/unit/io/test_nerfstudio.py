@@ -123,7 +123,7 @@ def test_depth_of_nerfcapture_is_read_in_its_unit(tmp_path: Path, capture: Captu
     depth = open_recording(str(rewrite(tmp_path, content))).depth(4)
     assert known.any()
     np.testing.assert_allclose(depth, known * np.float32(1000.0 * 10.0 / 65535.0), rtol=1e-5)
-    for wrong in (0.0, -0.1, 1e3):
+    for wrong in (0.0, -0.1, 1e9):
         path = rewrite(tmp_path, content | {"integer_depth_scale": wrong}) / "transforms.json"
         refuses_data(lambda path=path: open_recording(str(path)), path, "integer_depth_scale is", "--depth-scale")
 
