@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Iterator
@@ -47,7 +48,7 @@ class NetworkStream:
         self._frames: Any = None
         self._is_file = self._has_stamps = False
         self._clock = CaptureClock()
-        self._began_s: float | None = None  # when the stamp of a file was zero
+        self._played_s, self._began_s = math.nan, 0.0  # previous stamp of a file, and when its stamp was zero
         self._opened_s = self._opening_s = self._waited_s = 0.0
         self._first_stamp_s: float | None = None
 
@@ -66,7 +67,7 @@ class NetworkStream:
         self._frames = self._decoded(video)
         self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
         self._is_file = self._states_an_end()
-        self._clock, self._began_s = CaptureClock(), None
+        self._clock, self._played_s = CaptureClock(), math.nan
         self._opened_s, self._first_stamp_s = time.monotonic(), None
         self._opening_s = 0.0 if self._is_file else self._opened_s - began_s
 
@@ -134,9 +135,10 @@ class NetworkStream:
 
     def _awaited_s(self, stamp_s: float, arrived_s: float) -> float:
         """Wait until a frame of a file is due: it comes as fast as it is read, and a camera's would not."""
-        self._began_s = arrived_s - stamp_s if self._began_s is None else self._began_s
-        wait_s = self._began_s + stamp_s - arrived_s
-        time.sleep(min(max(0.0, wait_s), _TIMEOUT_S))  # stamps may jump
+        if not 0.0 <= stamp_s - self._played_s <= _TIMEOUT_S:  # the first, or a jump, as where videos were joined
+            self._began_s = arrived_s - stamp_s
+        self._played_s = stamp_s
+        time.sleep(max(0.0, self._began_s + stamp_s - arrived_s))
         return time.monotonic()
 
     def close(self) -> None:

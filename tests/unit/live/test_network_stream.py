@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -178,6 +179,16 @@ def test_a_file_on_a_server_is_played_at_its_own_pace(tmp_path: Path, transport_
     assert len(taken) >= FRAMES - 5  # a busy machine drops some
     span_s, steps = (taken[-1].captured_s - taken[0].captured_s, taken[-1].sequence - taken[0].sequence)
     assert span_s == pytest.approx(steps / 25.0, abs=0.02)
+
+
+def test_a_file_whose_stamps_jump_is_played_on_at_its_own_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where videos were joined: no frame waits for a jump, and none after it comes in a rush."""
+    clock = [100.0]
+    waits = SimpleNamespace(monotonic=lambda: clock[0], sleep=lambda wait_s: clock.append(clock.pop() + wait_s))
+    monkeypatch.setattr(network_stream, "time", waits)
+    stream = NetworkStream("http://server/joined.ts")
+    played_s = [stream._awaited_s(stamp_s, clock[0]) for stamp_s in (2.0, 2.5, 60.0, 60.5, 61.0, 0.0, 0.5)]
+    np.testing.assert_allclose(played_s, [100.0, 100.5, 100.5, 101.0, 101.5, 101.5, 102.0])
 
 
 def test_a_file_on_a_server_that_breaks_off_is_named(tmp_path: Path, transport_stream: bytes) -> None:
