@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +91,7 @@ def choose_depth(
 ) -> DepthSource | None:
     """The depth topic that is aligned, else that can be registered, with the most messages; None without any.
 
-    Those that are named depth come first: confidence and others are images of floating-point numbers, too.
+    Those that are named depth come before all others: confidence, too, is an image of floating-point numbers.
 
     Raises:
         DataError: there is depth that is neither.
@@ -107,6 +107,24 @@ def choose_depth(
         key=lambda each: (each.is_named_depth, len(each), each.is_raw),
         reverse=True,
     )
+    for is_named in (True, False):
+        alike = [each for each in topics if each.is_named_depth is is_named]
+        found = _aligned_or_registered(bag, contents, alike, color, camera, tree)
+        if found is not None:
+            return found
+    problem = f"is not aligned to {color.name} (frame {topics[0].frame!r}, colour {color.frame!r})"
+    raise DataError(bag.path / topics[0].name.lstrip("/"), problem, _ALIGN)
+
+
+def _aligned_or_registered(
+    bag: BagFile,
+    contents: Contents,
+    topics: Sequence[ImageTopic],
+    color: ImageTopic,
+    camera: Camera,
+    tree: TransformTree,
+) -> DepthSource | None:
+    """The first topic that is aligned, else the first that can be registered."""
     for topic in topics:
         if _is_aligned(bag, contents, topic, color, camera):
             return DepthSource(topic, "aligned to colour")
@@ -118,8 +136,7 @@ def choose_depth(
             depth_camera = camera_of(depth_info.message, topic.is_rectified, topic.size, path)
             how = f"registered to colour by {depth_info.name} and /tf_static"
             return DepthSource(topic, how, DepthRegistration(depth_camera, camera, T_color_depth))
-    problem = f"is not aligned to {color.name} (frame {topics[0].frame!r}, colour {color.frame!r})"
-    raise DataError(bag.path / topics[0].name.lstrip("/"), problem, _ALIGN)
+    return None
 
 
 def _is_aligned(bag: BagFile, contents: Contents, topic: ImageTopic, color: ImageTopic, camera: Camera) -> bool:

@@ -209,6 +209,8 @@ def test_depth_of_another_camera_is_registered(tmp_path: Path, capture: Capture,
     for time_s in capture.times_s:
         wall = np.full((capture.camera.height // 2, capture.camera.width // 2), 1000 * wall_m, dtype=np.uint16)
         bag.add("/cam/depth/image_rect_raw", time_s, ros.image(time_s, frame, wall, "16UC1"))
+        scores = np.ones((capture.camera.height, capture.camera.width), np.float32)  # no depth, and in colour's frame
+        bag.add("/detector/scores", time_s, ros.image(time_s, OPTICAL, scores, "32FC1"))
     recording = open_recording(str(bag.write(tmp_path / "walk")))
     depth_m = recording.depth(0)
     assert "registered to colour by /cam/depth/camera_info and /tf_static" in recording.notes[0]
