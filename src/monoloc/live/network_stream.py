@@ -19,7 +19,7 @@ from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
 _OPTIONS = {"rtsp_transport": "tcp"}  # TCP loses no packets
-_AT_ONCE_S = 0.005  # in which a packet comes that was there already
+_AT_ONCE_S = 0.02  # in which a packet comes that was there already, also where other threads of Python are busy
 _CAMERA_ONLY = "mpjpeg"  # images that replace one another; nobody stores them so
 # Containers of bare images hold no times: FFmpeg counts their frames, at 25 a second whatever the camera's rate.
 _WITHOUT_STAMPS = {_CAMERA_ONLY, "mjpeg", "h264", "hevc"}
