@@ -98,7 +98,7 @@ class NetworkStream:
         None is, from the first packet on that had to be waited for, and once as much time has passed as the opening
         took: a computer that is slower than its stream catches up by leaving out images.
         """
-        if self._waited_s > _AT_ONCE_S or arrived_s - self._opened_s > self._opening_s:
+        if self._waited_s > _AT_ONCE_S or arrived_s - self._opened_s >= self._opening_s:
             self._opening_s = 0.0
             return False
         if not self._has_stamps or frame.time is None:

@@ -29,7 +29,10 @@ _PAIRS_AT_ONCE = 100
 LEAST_TRACK = 3
 """Observations of a point."""
 
-_LEAST_FRAMES, _LEAST_SHARE = 8, 1.0 / 3.0  # placed of the keyframes
+LEAST_FRAMES = 8
+"""Keyframes that are placed."""
+
+_LEAST_SHARE = 1.0 / 3.0  # placed of the keyframes
 _TURNING = 0.5  # share of matched pairs that one homography explains, from which the camera only turns
 _REFINED = ("f", "k1", "k2")
 # Focal lengths from videos of RedKitchen and the desk were 1.4 % and 1.8 % below those of other calibrations, and
@@ -56,9 +59,9 @@ def map_keyframes(
     """
     import pycolmap
 
-    if len(keyframes) < _LEAST_FRAMES:
+    if len(keyframes) < LEAST_FRAMES:
         problem = f"moves so little that it has {len(keyframes)} keyframe{'' if len(keyframes) == 1 else 's'}"
-        raise DataError(recording.name, problem, f"at least {_LEAST_FRAMES} are needed: walk through the room")
+        raise DataError(recording.name, problem, f"at least {LEAST_FRAMES} are needed: walk through the room")
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # monoloc reports problems itself, once
     pycolmap.set_random_seed(seed)
     with tempfile.TemporaryDirectory(prefix="monoloc-") as folder:
@@ -71,7 +74,7 @@ def map_keyframes(
         with progress.task("mapping", len(keyframes)) as step:
             model = _map(workspace, refine, seed, step)
         placed = 0 if model is None else model.num_reg_images()
-        if model is None or placed < max(_LEAST_FRAMES, _LEAST_SHARE * len(keyframes)):
+        if model is None or placed < max(LEAST_FRAMES, _LEAST_SHARE * len(keyframes)):
             only_turned = _only_turned(workspace, len(keyframes))
             raise _too_few(recording.name, placed, len(keyframes), only_turned)
     camera, camera_sd = recording.camera, dict[str, float]()
@@ -132,7 +135,7 @@ def _map(workspace: Path, refine: bool, seed: int, step: Step) -> Any:
     import pycolmap
 
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = 1, seed, _LEAST_FRAMES
+    options.num_threads, options.random_seed, options.min_model_size = 1, seed, LEAST_FRAMES
     options.ba_refine_focal_length = options.ba_refine_extra_params = refine
     options.ba_refine_principal_point = False
     placed = 0

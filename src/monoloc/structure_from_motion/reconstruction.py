@@ -22,7 +22,7 @@ from monoloc.progress import NoProgress, Progress
 from monoloc.structure_from_motion.dense_depth import dense_depth, small_camera
 from monoloc.structure_from_motion.keyframe_choice import choose_keyframes
 from monoloc.structure_from_motion.levelling import levelled
-from monoloc.structure_from_motion.mapping import LEAST_TRACK, map_keyframes
+from monoloc.structure_from_motion.mapping import LEAST_FRAMES, LEAST_TRACK, map_keyframes
 from monoloc.structure_from_motion.metric_scale import MetricScale, ScaleSource
 from monoloc.structure_from_motion.sparse_model import SparseModel
 
@@ -133,7 +133,7 @@ def reconstruct(
 
 def _check_bent(name: str, is_bent: NDArray[np.bool_]) -> None:
     """Refuse a model of which a large part is bent: the rest may be, too."""
-    if is_bent.mean() > _MOST_BENT:
+    if is_bent.mean() > _MOST_BENT or np.count_nonzero(~is_bent) < LEAST_FRAMES:
         problem = f"is bent: depth contradicts {np.count_nonzero(is_bent)} of {len(is_bent)} keyframes"
         raise DataError(name, problem, "film it again: flat surfaces and screens that change mislead it")
 
