@@ -75,7 +75,7 @@ def test_recovery_and_faults_print_tables(capfd: Capture, folder: Path) -> None:
     """Of few frames, of which those for ten seconds without images are too few."""
     arguments = (str(folder / "room.monoloc"), str(folder / "flight"), "--frames", "0:240")
     out, _ = outputs(capfd, "bench", "recovery", *arguments, "--kidnaps", "0", "--starts", "0", "--map-edits", "0")
-    assert "false_tracking_rate" in out
+    assert "false tracking rate" in out
     out, err = outputs(
         capfd, "bench", "faults", *arguments, "--only", "black", "--only", "dropped-10s", "--flights", "1"
     )
