@@ -39,7 +39,7 @@ class PlainConsole(Console):
 
 stderr = PlainConsole(stderr=True)
 
-# By the last word of a key in JSON.
+# By what a key in JSON ends with.
 _UNITS = {"m": " m", "m3": " m³", "deg": "°", "s": " s", "ms": " ms", "px": " px", "hz": " Hz", "mb": " MB"}
 
 SourceArgument = Annotated[

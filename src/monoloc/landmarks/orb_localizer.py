@@ -15,7 +15,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.geometry import FloatArray, invert, pose_distance_m, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
-from monoloc.landmarks.influential_corners import corners_of
+from monoloc.landmarks.influential_corners import are_few_of_many
 from monoloc.landmarks.landmark_cells import LandmarkCells
 from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED, Landmarks
 from monoloc.landmarks.pnp import (
@@ -47,9 +47,6 @@ _APART_M, _RIVAL_SHARE = FAR_M, 0.3
 # Of a twist, m and rad, up to which two poses of a view are the same. In views that determine the pose, others that
 # the same matches lead to were at 0.02 at most; those with which more landmarks agreed, beyond (a desk, two bundles).
 _SAME_POSE = 0.02
-# Corners of a relocalisation, below which a share of the landmarks in view must be found. What repeats, such as the
-# keys of a keyboard, agrees with wrong poses by chance: in mirrored images at up to 15 corners and 1.9 % of those.
-_MANY_CORNERS, _LEAST_FOUND = 16, 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _TRIPLES, _RIVAL_TRIPLES = 2000, 200  # of RANSAC
 # A part of the image shows nothing where squares of so many tiles a side have no keypoint, and if such squares make
@@ -226,13 +223,11 @@ class OrbLandmarkLocalizer:
         return best if is_confirmed and not self._may_agree_by_chance(best) else None
 
     def _may_agree_by_chance(self, agreement: _Agreement) -> bool:
-        """Whether landmarks agree at few corners only, of very many that should be in view."""
-        in_view = np.count_nonzero(agreement.is_in_view & agreement.is_shown)
-        if agreement.fit is None or len(agreement.found) >= _LEAST_FOUND * in_view:
+        if agreement.fit is None:
             return False
         points = self._landmarks.points[agreement.possible[agreement.found]].astype(np.float64)
-        corners = corners_of(transform(invert(agreement.fit.pose), points))
-        return int(corners.max()) + 1 < _MANY_CORNERS
+        in_view = int(np.count_nonzero(agreement.is_in_view & agreement.is_shown))
+        return are_few_of_many(transform(invert(agreement.fit.pose), points), in_view)
 
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> _Agreement:
         """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with.
