@@ -13,7 +13,7 @@ RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels .
 FROM python:3.12-slim-bookworm
 COPY --from=build /wheels /wheels
 COPY constraints.txt /wheels/
-# Compiled to bytecode: whoever runs it may not write it, and then each start takes longer and 65 MB more.
+# Compiled to bytecode: whoever runs it may not write it, and then each start takes longer and 15 MB more.
 RUN pip install --no-cache-dir --find-links /wheels --constraint /wheels/constraints.txt \
       "monoloc[mavlink,mcap,stream]" \
     && rm -r /wheels \
