@@ -19,7 +19,8 @@ from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
 _OPTIONS = {"rtsp_transport": "tcp"}  # TCP loses no packets
-_AT_ONCE_S = 0.02  # in which a packet comes that was there already, also where other threads of Python are busy
+_AT_ONCE_S = 0.02  # in which a packet comes that was there already
+_JITTER_S = 0.003  # by which an image may come sooner after the one before than it was captured
 _CAMERA_ONLY = "mpjpeg"  # images that replace one another; nobody stores them so
 # Containers of bare images hold no times: FFmpeg counts their frames, at 25 a second whatever the camera's rate.
 _WITHOUT_STAMPS = {_CAMERA_ONLY, "mjpeg", "h264", "hevc"}
@@ -51,6 +52,7 @@ class NetworkStream:
         self._played_s, self._began_s = math.nan, 0.0  # previous stamp of a file, and when its stamp was zero
         self._opened_s = self._opening_s = self._waited_s = 0.0
         self._first_stamp_s: float | None = None
+        self._delay_s = math.inf  # of the previous image, from its stamp to its arrival
 
     def open(self) -> None:
         import av
@@ -68,7 +70,7 @@ class NetworkStream:
         self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
         self._is_file = self._states_an_end()
         self._clock, self._played_s = CaptureClock(), math.nan
-        self._opened_s, self._first_stamp_s = time.monotonic(), None
+        self._opened_s, self._first_stamp_s, self._delay_s = time.monotonic(), None, math.inf
         self._opening_s = 0.0 if self._is_file else self._opened_s - began_s
 
     def _states_an_end(self) -> bool:
@@ -96,12 +98,17 @@ class NetworkStream:
         """Whether an image came while the stream was opened.
 
         None is, from the first packet on that had to be waited for, and once as much time has passed as the opening
-        took: a computer that is slower than its stream catches up by leaving out images.
+        took: a computer that is slower than its stream catches up by leaving out images. Where other threads are
+        busy, any packet is waited for; then images are old while their delay falls.
         """
-        if self._waited_s > _AT_ONCE_S or arrived_s - self._opened_s >= self._opening_s:
+        has_stamp, fell_s = self._has_stamps and frame.time is not None, 0.0
+        if has_stamp:
+            fell_s, self._delay_s = self._delay_s - (arrived_s - frame.time), arrived_s - frame.time
+        came_anew = self._waited_s > _AT_ONCE_S and fell_s < _JITTER_S
+        if came_anew or arrived_s - self._opened_s >= self._opening_s:
             self._opening_s = 0.0
             return False
-        if not self._has_stamps or frame.time is None:
+        if not has_stamp:
             return True
         self._first_stamp_s = frame.time if self._first_stamp_s is None else self._first_stamp_s
         passed_s = arrived_s - self._opened_s + self._opening_s

@@ -238,6 +238,15 @@ def test_all_images_may_build_on_the_first_and_those_of_the_opening_are_not_give
     assert greys[-1] == pytest.approx(4 * FRAMES, abs=3)
 
 
+def test_images_of_the_opening_are_old_also_where_other_threads_are_busy() -> None:
+    """Each packet is then waited for, but their stamps pass faster than the time."""
+    stream = NetworkStream("rtsp://camera")
+    stream._has_stamps, stream._opened_s, stream._opening_s, stream._waited_s = True, 10.0, 1.0, 0.025
+    probed = [stream._is_old(SimpleNamespace(time=index / 30.0), 10.0 + 0.025 * index) for index in range(20)]
+    assert all(probed)
+    assert not stream._is_old(SimpleNamespace(time=20 / 30.0), 10.0 + 0.025 * 19 + 1 / 30.0)
+
+
 def test_a_damaged_part_costs_its_frames_and_no_others(transport_stream: bytes) -> None:
     damaged = bytearray(transport_stream)
     middle = len(damaged) // 2
