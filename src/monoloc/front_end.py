@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -19,11 +19,11 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
+from monoloc.motion_choice import chosen_motion
 from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.odometry.standing_image import StandingImage
 from monoloc.odometry.standing_pixels import StandingPixels
-from monoloc.particle_filter.motion_model import motion_sd
 from monoloc.same_image import is_same_image
 from monoloc.second_thread import SecondThread
 from monoloc.step_budget import Stage, StepPlan
@@ -235,22 +235,9 @@ class FrontEnd:
         if odometry is not None:
             odometry = checked_motion(odometry, "the result of Components.odometry")
         stood_s = self._standing_image.update(odometry, measured, elapsed_s)
-        motion = measured if stood_s > 0.0 else self._best(odometry, measured, elapsed_s)
-        return motion, stood_s
-
-    def _best(self, odometry: Motion | None, measured: Motion | None, elapsed_s: float) -> Motion | None:
-        """The motion that states the smaller noise; corners are the odometry's.
-
-        The two are not averaged: odometry's errors of rotation and translation go together, and its translation has
-        another unit. For the same reason a gyroscope's rotation does not replace that of odometry.
-        """
-        if odometry is None or measured is None:
-            return measured if odometry is None else odometry
         noise = self._config.motion_noise
-        odometry_sd, measured_sd = (motion_sd(motion, elapsed_s, 0.0, noise) for motion in (odometry, measured))
-        if not tracks_translation(measured) or np.linalg.norm(odometry_sd) <= np.linalg.norm(measured_sd):
-            return odometry
-        return replace(measured, inliers=odometry.inliers, points=odometry.points, log_depth_sd=odometry.log_depth_sd)
+        motion = measured if stood_s > 0.0 else chosen_motion(odometry, measured, elapsed_s, noise)
+        return motion, stood_s
 
     def _corrected(self, depth: DepthPrediction, motion: Motion | None) -> DepthPrediction:
         if motion is None or self._config.scale_tilt is None:

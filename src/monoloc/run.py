@@ -55,6 +55,7 @@ class Run:
         landmark_used: (N,) frames in which landmarks measured the pose.
         truth: (N, 4, 4) or None.
         standing_shares: (N,) of the image, see :class:`Step`.
+        motion_contradicted: (N,) frames in which another sensor's motion contradicts that of the images.
         depth: accuracy of the depth used, over all and over unseen frames; None without sensor depth.
         changed_regions: that *map-changed* frames named, with their numbers of frames, the most first.
     """
@@ -74,6 +75,7 @@ class Run:
     step_ms: FloatArray
     landmark_used: NDArray[np.bool_]
     standing_shares: FloatArray
+    motion_contradicted: NDArray[np.bool_]
     depth: tuple[DepthAccumulator, DepthAccumulator] | None
     changed_regions: Sequence[tuple[ChangedRegion, int]] = ()
 
@@ -96,6 +98,7 @@ class Run:
             ],
             "landmark_used_frames": int(self.landmark_used.sum()),
             "standing_share_median": float(np.median(self.standing_shares)),
+            "motion_contradicted_frames": int(self.motion_contradicted.sum()),
             "step_ms_median": float(np.median(self.step_ms)),
             "step_ms_p95": float(np.percentile(self.step_ms, 95.0)),
             "step_ms_p99": float(np.percentile(self.step_ms, 99.0)),
@@ -225,7 +228,7 @@ class _Log:
         self._reasons: list[frozenset[Reason]] = []
         self._levels: list[Level] = []
         self._changed: list[ChangedRegion] = []
-        self._figures: list[tuple[float, bool, float, bool, float]] = []
+        self._figures: list[tuple[float, bool, float, bool, bool, float]] = []
         self._depth = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
         self.dead_reckoning: list[FloatArray] = []
         self._has_odometry = False
@@ -241,7 +244,10 @@ class _Log:
         if step.changed_region is not None:
             self._changed.append(step.changed_region)
         has_landmarks = step.landmark_pose is not None
-        self._figures.append((step.mean_log_likelihood, has_landmarks, step.standing_share, unseen, step_ms))
+        contradicted = step.motion is not None and step.motion.is_contradicted
+        self._figures.append(
+            (step.mean_log_likelihood, has_landmarks, step.standing_share, contradicted, unseen, step_ms)
+        )
         if self._depth is not None and sensor_m is not None and step.depth is not None:
             for accumulator in self._depth if unseen else self._depth[:1]:
                 accumulator.add(*depth_pair(step.depth, sensor_m))
@@ -256,7 +262,8 @@ class _Log:
         return previous if step.motion is None else previous @ step.motion.T_previous_current
 
     def run(self, config: LocalizerConfig) -> Run:
-        mean_log_likelihoods, landmark_used, standing, unseen, step_ms = zip(*self._figures, strict=True)
+        columns = zip(*self._figures, strict=True)
+        mean_log_likelihoods, landmark_used, standing, contradicted, unseen, step_ms = columns
         return Run(
             recording=self._recording,
             config=config,
@@ -274,6 +281,7 @@ class _Log:
             step_ms=np.array(step_ms),
             landmark_used=np.array(landmark_used, dtype=np.bool_),
             standing_shares=np.array(standing),
+            motion_contradicted=np.array(contradicted, dtype=np.bool_),
             depth=self._depth,
         )
 

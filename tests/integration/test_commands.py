@@ -17,6 +17,7 @@ from monoloc import __version__
 from monoloc.bundle import digest_of, read_bundle, write_bundle
 from monoloc.depth.models import shipped_file
 from monoloc.evaluation.trajectory import pose_errors, summarise
+from monoloc.geometry import se3_exp
 from monoloc.io.pose_files import read_tum
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.map.mixture import GaussianMixture
@@ -195,6 +196,11 @@ def test_localize_takes_the_motion_of_other_sensors(capfd: Capture, here: Path, 
     localize = ("localize", "room.monoloc", "flight", "--start", "truth", "--motion", "random-walk")
     metrics = json_of(capfd, *localize, "--odometry", "wheels.txt", "--odometry-delay", "0.02")
     assert metrics["odometry_ate_rmse_m"] < 0.001
+    turned = se3_exp([0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2.0])
+    write_tum(here / "turned.txt", recording.timestamps_s, recording.poses @ turned)
+    visual = ("localize", "room.monoloc", "flight", "--start", "truth", "--odometry")
+    assert json_of(capfd, *visual, "turned.txt")["motion_contradicted_frames"] > 0.5 * metrics["frames"]
+    assert json_of(capfd, *visual, "wheels.txt", "--odometry-delay", "0.02")["motion_contradicted_frames"] == 0
     problem, fix = "gives no motion between frames", "bring its time stamps to the clock of the frames"
     write_tum(here / "wheels.txt", recording.timestamps_s + 100.0, recording.poses)
     refused(capfd, here, [*localize, "--odometry", "wheels.txt"], "wheels.txt", problem, fix)

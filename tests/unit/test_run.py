@@ -53,6 +53,7 @@ def exact_run(recording: RoomRecording) -> Run:
         step_ms=np.ones(count),
         landmark_used=np.zeros(count, dtype=np.bool_),
         standing_shares=np.zeros(count),
+        motion_contradicted=np.zeros(count, dtype=np.bool_),
         depth=None,
     )
 

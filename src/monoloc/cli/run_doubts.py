@@ -34,6 +34,10 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
     if standing := metrics["standing_share_median"]:
         problem = f"{standing:.0%} of the image stands still in half of the frames or more, and is left out"
         yield f"{problem}; clean the lens, or move the camera away from parts of the drone"
+    contradicted = int(run.motion_contradicted.sum())
+    if contradicted >= _MISMATCH_SHARE * frames:
+        problem = f"in {contradicted} of {frames} frames, the other odometry contradicts the motion that images show"
+        yield f"{problem}; check its unit, its --odometry-delay, and how the camera is mounted (--mount)"
     yield from _of_errors(run, metrics)
 
 

@@ -36,6 +36,8 @@ class Motion:
             odometry, or for an unknown velocity where the translation is unknown.
         view_covariance: which the motion adds to that of the pose, by how the view determines it: of a twist in the
             current camera's frame, (6, 6); None where that is not known.
+        is_contradicted: whether two sensors measured motions that their errors exclude of one camera
+            (:mod:`monoloc.motion_choice`).
     """
 
     T_previous_current: FloatArray
@@ -46,6 +48,7 @@ class Motion:
     translation_sd_m: float | None = None
     rotation_sd_rad: float | None = None
     view_covariance: FloatArray | None = None
+    is_contradicted: bool = False
 
     @classmethod
     def metric(cls, T_previous_current: ArrayLike, translation_sd_m: float, rotation_sd_rad: float) -> Motion:

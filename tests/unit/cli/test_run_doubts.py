@@ -69,6 +69,11 @@ def test_what_stands_still_in_the_images_is_said(room: Bundle, run: Run) -> None
     assert not list(doubts(replace(run, standing_shares=np.array([0.0, 0.0, 0.0, 0.2])), room))
 
 
+def test_another_odometry_that_contradicts_the_images_is_said(room: Bundle, run: Run) -> None:
+    (doubt,) = doubts(replace(run, motion_contradicted=np.array([False, True, False, False])), room)
+    assert doubt.startswith("in 1 of 4 frames, the other odometry contradicts the motion that images show; check its")
+
+
 def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
     (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances), room)
     problem = "0% of the errors lie within the stated 95 % ellipsoid"
