@@ -25,7 +25,7 @@ class Flight(BaseModel):
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    bundle: str
+    digest: str
     source: str
     selection: str
     start: str
@@ -53,13 +53,13 @@ class FlightPair:
 
     @property
     def build(self) -> str:
-        """The bundle before the change: flights with it are of one build."""
-        return Path(self.before.bundle).name
+        """The bundle before the change, by its content: bundles of several folders may have one name."""
+        return self.before.digest
 
     @property
     def is_same(self) -> bool:
         """Whether errors and states are the same to the last digit."""
-        ignored = {"bundle", "source"}
+        ignored = {"digest", "source"}
         return self.before.model_dump(exclude=ignored) == self.after.model_dump(exclude=ignored)
 
 

@@ -13,7 +13,7 @@ from monoloc_lab.bench.paired_flights import compared, paired
 from refusals import refuses_data
 
 FLIGHT: dict[str, Any] = {
-    "bundle": "rooms/b0.monoloc", "digest": "00", "source": "kitchen", "selection": "300:400", "start": "truth",
+    "bundle": "b0/room.monoloc", "digest": "b0", "source": "kitchen", "selection": "300:400", "start": "truth",
     "seed": 0, "frames": 100, "states": {"tracking": 90, "map-changed": 5, "lost": 5}, "ate_rmse_m": 0.04,
     "ate_median_m": 0.03, "rot_median_deg": 1.0, "silent_frames_30cm": 0, "silent_frames_3_5_sigma": 2,
 }  # fmt: skip
@@ -27,11 +27,12 @@ def write(folder: Path, name: str, **changed: object) -> Path:
 
 @pytest.fixture
 def before(tmp_path: Path) -> Path:
-    """Three builds, two flights each; the errors of a build differ by a factor."""
+    """Three builds whose bundles have one name, two flights each; the errors of a build differ by a factor."""
     for build in range(3):
         for seed in range(2):
             errors = {"ate_rmse_m": 0.04 * (1 + build) + 0.01 * seed}
-            write(tmp_path / "before", f"{build}-{seed}.json", bundle=f"rooms/b{build}.monoloc", seed=seed, **errors)
+            bundle = {"bundle": f"b{build}/room.monoloc", "digest": f"b{build}"}
+            write(tmp_path / "before", f"{build}-{seed}.json", **bundle, seed=seed, **errors)
     return tmp_path / "before"
 
 
@@ -41,7 +42,8 @@ def changed_by(before: Path, *factors: float) -> Path:
     for file in before.iterdir():
         flight = json.loads(file.read_text())
         factor = factors[int(file.name[0])]
-        write(after, file.name, **flight | {"bundle": "other/a.monoloc", "ate_rmse_m": factor * flight["ate_rmse_m"]})
+        other = {"bundle": "other/a.monoloc", "digest": "a"}
+        write(after, file.name, **flight | other | {"ate_rmse_m": factor * flight["ate_rmse_m"]})
     return after
 
 
