@@ -19,6 +19,11 @@ from monoloc.run_json import GIVE_RUN, figures_of, read_run_json
 from monoloc.supervision.state import VOUCHED_FOR, State
 from monoloc_lab.experiments.interval import Interval, Step, interval_of, step_of
 
+_FLY_ALIKE = "fly both over the same frames, from the same start"
+_BUILD_ALIKE = "build both from the same frames, or fly over frames that built neither"
+_EQUAL = dict.fromkeys(("selection", "frames", "start", "seed"), _FLY_ALIKE) | {"unseen_frames": _BUILD_ALIKE}
+"""What the two flights of a pair have in common, and what to do where they do not."""
+
 
 class Flight(BaseModel):
     """A flight, as ``monoloc localize --json`` reports it; errors are over frames that did not build the bundle."""
@@ -31,6 +36,7 @@ class Flight(BaseModel):
     start: str
     seed: int
     frames: int
+    unseen_frames: int
     states: dict[State, int]
     ate_rmse_m: float
     ate_median_m: float
@@ -119,7 +125,8 @@ def paired(before: Path, after: Path) -> tuple[list[FlightPair], list[str]]:
 
     Raises:
         DataError: a folder has no such files, none of their names is in both, a file is not the JSON of a flight with
-            reference poses, or two files of one name differ in frames or start.
+            reference poses, or two files of one name differ in frames, in those that built the bundle, or in the
+            start.
     """
     names = [{file.name for file in folder.glob("*.json")} for folder in (before, after)]
     for folder, found in zip((before, after), names, strict=True):
@@ -131,11 +138,10 @@ def paired(before: Path, after: Path) -> tuple[list[FlightPair], list[str]]:
     pairs = []
     for name in common:
         pair = FlightPair(read_flight(before / name), read_flight(after / name))
-        for field in ("selection", "frames", "start", "seed"):
+        for field, fix in _EQUAL.items():
             values = [getattr(each, field) for each in (pair.before, pair.after)]
             if values[0] != values[1]:
-                problem = f"{field}: is {values[1]}, in {before / name} it is {values[0]}"
-                raise DataError(after / name, problem, "fly both over the same frames, from the same start")
+                raise DataError(after / name, f"{field}: is {values[1]}, in {before / name} it is {values[0]}", fix)
         pairs.append(pair)
     return pairs, sorted(names[0] ^ names[1])
 

@@ -14,8 +14,9 @@ from refusals import refuses_data
 
 FLIGHT: dict[str, Any] = {
     "bundle": "b0/room.monoloc", "digest": "b0", "source": "kitchen", "selection": "300:400", "start": "truth",
-    "seed": 0, "frames": 100, "states": {"tracking": 90, "map-changed": 5, "lost": 5}, "ate_rmse_m": 0.04,
-    "ate_median_m": 0.03, "rot_median_deg": 1.0, "silent_frames_30cm": 0, "silent_frames_3_5_sigma": 2,
+    "seed": 0, "frames": 100, "unseen_frames": 100, "states": {"tracking": 90, "map-changed": 5, "lost": 5},
+    "ate_rmse_m": 0.04, "ate_median_m": 0.03, "rot_median_deg": 1.0,
+    "silent_frames_30cm": 0, "silent_frames_3_5_sigma": 2,
 }  # fmt: skip
 
 
@@ -103,6 +104,8 @@ def test_what_cannot_be_compared_is_refused(before: Path) -> None:
     refuses_data(lambda: paired(before, after), file, "seed: is 3, in .* it is 0", "from the same start")
     write(after, "0-0.json", selection="::2")
     refuses_data(lambda: paired(before, after), file, "selection: is ::2", "over the same frames")
+    write(after, "0-0.json", unseen_frames=75, unseen_ate_rmse_m=0.03)
+    refuses_data(lambda: paired(before, after), file, "unseen_frames: is 75, in .* it is 100", "that built neither")
     file.write_text(json.dumps({"digest": "00", "frames": 3}))
     refuses_data(lambda: paired(before, after), file, "its recording has no poses", "recordings with poses")
     file.write_text("[]")
