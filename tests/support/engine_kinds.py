@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,6 +64,12 @@ def fill(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+def killed(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
+    """Ends as a process does for which there is no memory."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return {}
+
+
 def threads(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
     import cv2
     import torch
@@ -78,6 +85,7 @@ KINDS = {
     "refuse": refuse,
     "crash": crash,
     "fill": fill,
+    "killed": killed,
     "threads": threads,
 }
 

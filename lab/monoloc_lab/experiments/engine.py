@@ -17,7 +17,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +69,7 @@ def carry_out(
         Results of the tasks and of all that they need.
 
     Raises:
-        TaskError: a task failed because of its input; the first one is named.
+        TaskError: a task failed because of its input; the first one is named. Or a worker process was killed.
         RuntimeError: a task failed because of an internal fault.
         SettingError: another run uses ``out``, or the scheduler cannot be used.
         MissingExtraError: joblib or Dask is not installed.
@@ -206,7 +206,7 @@ def _execute(
             break  # the remaining tasks need failed ones
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             task = running.pop(future)
-            failure = future.result()
+            failure = _outcome_of(future)
             result = read_result(out, task)
             if failure is None and result is None:
                 failure = _Failure(f"{out} is not the folder that the workers see; name one that all share", True)
@@ -216,6 +216,21 @@ def _execute(
                 results[task] = result
             show(len(results) - before, _ended(task, result, [*waiting, *running.values()], results))
     return failures
+
+
+def _outcome_of(future: Future[_Failure | None]) -> _Failure | None:
+    """The failure of a task, or None.
+
+    Raises:
+        TaskError: a worker process was killed; all tasks that ran then end so.
+    """
+    try:
+        return future.result()
+    except BrokenExecutor as error:
+        if signal.SIGKILL.name not in str(error):  # but, as of a segmentation fault, an internal fault
+            raise
+        fix = "give fewer --workers, or free memory; the same command continues, and done tasks are kept"
+        raise TaskError(f"--workers: one was killed, as a system does whose memory is full; {fix}") from error
 
 
 def _ended(task: Task, result: Result | None, left: Sequence[Task], results: Results) -> str:

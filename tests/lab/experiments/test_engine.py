@@ -245,6 +245,14 @@ def test_interrupted_run_continues(tmp_path: Path, log: Path, sent: signal.Signa
     assert not any(folder.exists() for folder in incomplete)
 
 
+@pytest.mark.slow
+def test_killed_worker_is_said_in_a_line_and_the_run_continues(tmp_path: Path, log: Path) -> None:
+    first, second = number(log, 1), Task.of("killed", {})
+    with pytest.raises(TaskError, match=r"^--workers: one was killed, .* memory is full; give fewer --workers, or"):
+        do([first, second], tmp_path)
+    assert read_result(tmp_path, first) is not None
+
+
 def is_alive(group: int) -> bool:
     try:
         os.killpg(group, 0)
