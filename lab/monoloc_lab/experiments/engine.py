@@ -83,7 +83,7 @@ def carry_out(
         with progress.task(f"tasks{before}", len(waiting), alike=False) as show:
             if waiting:
                 show(0, tasks_to_do(waiting, results))
-                with _cluster(scheduler) if scheduler else _cores(min(workers, len(waiting))) as executor:
+                with _cluster(scheduler) if scheduler else _cores(min(workers, len(waiting)), out) as executor:
                     at_once = None if scheduler else workers
                     failures = _execute(waiting, results, out, executor, at_once, kinds, show)
                 if failures:
@@ -250,8 +250,8 @@ def _exception_of(failures: Mapping[Task, _Failure]) -> Exception:
 
 
 @contextmanager
-def _cores(workers: int) -> Iterator[Executor]:
-    """Processes on this machine; they are terminated at once if the block ends with an error."""
+def _cores(workers: int, out: Path) -> Iterator[Executor]:
+    """Processes on this machine; they are terminated at once, and leave nothing, if the block ends with an error."""
     try:
         from joblib.externals.loky import ProcessPoolExecutor
     except ImportError as error:
@@ -263,6 +263,7 @@ def _cores(workers: int) -> Iterator[Executor]:
         yield executor
     except BaseException:
         executor.shutdown(wait=True, kill_workers=True)
+        _remove_incomplete(out)
         raise
     executor.shutdown(wait=True)
 
@@ -334,9 +335,14 @@ def _locked(out: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise SettingError("--out", f"another run is at work in {out}", "wait for it, or name another") from error
-        for left in results.glob(".*.*"):
-            shutil.rmtree(left, ignore_errors=True)
+        _remove_incomplete(out)
         yield
+
+
+def _remove_incomplete(out: Path) -> None:
+    """Remove the folders of tasks that did not end, which no process writes to any more."""
+    for left in (out / "results").glob(".*.*"):
+        shutil.rmtree(left, ignore_errors=True)
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -38,7 +38,7 @@ def test_row_is_of_all_test_frames_and_is_written_once(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A process of its own would import everything again, which takes longer than the flight.
-    monkeypatch.setattr("monoloc_lab.experiments.engine._cores", ThreadPoolExecutor)
+    monkeypatch.setattr("monoloc_lab.experiments.engine._cores", lambda workers, out: ThreadPoolExecutor(workers))
     walks = write_kitchen(tmp_path / KITCHEN, [8, 2, 2])
     (tmp_path / KITCHEN / "data" / "frame-000003.pose.txt").write_text("\n".join(["-INF -INF -INF -INF"] * 4))
     flown = put_built(tmp_path, tmp_path / "out")

@@ -40,7 +40,7 @@ class InThisProcess(Executor):
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     @contextmanager
-    def executor(workers: int) -> Iterator[Executor]:
+    def executor(workers: int, out: Path) -> Iterator[Executor]:
         yield InThisProcess()
 
     monkeypatch.setattr(engine, "_cores", executor)
@@ -239,7 +239,7 @@ def test_interrupted_run_continues(tmp_path: Path, log: Path, sent: signal.Signa
     first = number(log, 1)
     assert read_result(tmp_path, first) is not None
     incomplete = list((tmp_path / "results").glob(".linger-*"))
-    assert incomplete and not list((tmp_path / "results").glob("linger-*"))
+    assert len(incomplete) == (sent == signal.SIGKILL) and not list((tmp_path / "results").glob("linger-*"))
     assert do([number(log, 2, first)], tmp_path)[number(log, 2, first)].figures["sum"] == 3
     assert executed(log) == [1, 2]
     assert not any(folder.exists() for folder in incomplete)
@@ -251,6 +251,7 @@ def test_killed_worker_is_said_in_a_line_and_the_run_continues(tmp_path: Path, l
     with pytest.raises(TaskError, match=r"^--workers: one was killed, .* memory is full; give fewer --workers, or"):
         do([first, second], tmp_path)
     assert read_result(tmp_path, first) is not None
+    assert not list((tmp_path / "results").glob(".killed-*"))
 
 
 def is_alive(group: int) -> bool:
