@@ -82,7 +82,7 @@ def with_trajectory(here: Path) -> None:
         ),
         (without_poses, (*BUILD, "--scale", "2"), "--scale", "is '2'", "marker:ID:SIZE_M"),
         (nothing, ("reconstruct", "flight", "--out", "flight"), "--out", "is read by this command", "another place"),
-        (nothing, ("reconstruct", "flight", "--out", "room.monoloc"), "room.monoloc", "holds files", "a new folder"),
+        (nothing, ("reconstruct", "flight", "--out", "."), ".", "holds files", "a new folder"),
         (
             nothing,
             ("reconstruct", "flight", "--out", "walk", "--camera-out", "cam.toml"),
@@ -288,6 +288,7 @@ def with_trajectory(here: Path) -> None:
         ),
         (nothing, ("depth", "train", "flight", "--out", "run", "--validate", "9:"), "--validate", "selects none", ""),
         (nothing, ("depth", "train", "flight", "--out", "flight/poses.txt"), "--out", "is a file", "name a folder"),
+        (nothing, ("depth", "train", "flight", "--out", "room.monoloc"), "--out", "is or lies in the bundle", ""),
         (
             nothing,
             ("depth", "train", "flight", "--out", "run", "--encoder", "no.npz"),

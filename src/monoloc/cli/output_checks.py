@@ -106,12 +106,13 @@ def check_picture(path: Path | None, option: str) -> None:
 
 
 def check_folder(path: Path, option: str) -> None:
-    """Reject an output folder that cannot be created or written to, before long work starts.
+    """Reject an output folder that cannot be created or written to, or is a bundle or a place, or inside one.
 
     Raises:
         SettingError: the folder is rejected; the error names the option.
     """
-    _check_outside(path, option)
+    if (container := container_of(path / "file")) is not None:
+        raise SettingError(option, f"{path} is or lies in {container}", "name another place")
     if not path.exists():
         _check_parent(path, option)
     elif not path.is_dir():
