@@ -274,6 +274,13 @@ def with_trajectory(here: Path) -> None:
         (nothing, ("depth", "export", "flight/poses.txt", "--out", "a.onnx"), "flight/poses.txt", "is not", "give a"),
         (
             nothing,
+            ("depth", "export", "a.safetensors", "--out", "b.safetensors"),
+            "--out",
+            "would be an ONNX file by another name",
+            "NAME.onnx",
+        ),
+        (
+            nothing,
             ("depth", "export", "full-0.35", "--out", "a.onnx"),
             "network",
             "comes with monoloc",

@@ -27,7 +27,7 @@ from monoloc.cli.common import (
     stderr,
     warn,
 )
-from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture
+from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture, check_suffix
 from monoloc.config import load_settings, override
 from monoloc.depth.models import is_shipped, shipped_models
 from monoloc.depth.predictor import DepthPredictor
@@ -226,6 +226,7 @@ def export(
         problem = f"{network} comes with monoloc in ONNX already"
         raise SettingError("network", problem, "use its name, as in build --network")
     check_outputs({"--out": out}, (network, int8))
+    check_suffix(out, "--out", ".onnx", "an ONNX file")
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")
     with training_extra():
