@@ -38,7 +38,7 @@ def evaluate_network(
     """Compare predicted with measured depth over all frames.
 
     Raises:
-        DataError: no pixel has both.
+        DataError: the frames have no depth, or no pixel has both.
     """
     accumulator = DepthAccumulator()
     known = predicted = 0
@@ -60,6 +60,8 @@ def evaluate_network(
             scales.append(prediction.log_error[has_both])
         if progress is not None:
             progress(index + 1)
+    if not known:
+        raise DataError(recording.name, "has no depth at any pixel of these frames", "check its depth images")
     if not evaluated:
         raise DataError(predictor.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
     # Sparse depth may have hardly a pixel of the network's.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import http.client
 import re
 from pathlib import Path
@@ -14,6 +15,7 @@ from monoloc.progress import Progress, Step
 _CHUNK = 1 << 20
 _TIMEOUT_S = 60.0
 _AGAIN = "check the connection, and run the command again: it continues where it stopped"
+_MAKE_ROOM = "make room, and run the command again: it continues where it stopped"
 _HTTP_PARTIAL, _HTTP_NO_SUCH_RANGE = 206, 416
 
 
@@ -21,7 +23,7 @@ def download(url: str, target: Path, progress: Progress) -> None:
     """Download to ``target``. What an earlier call left at ``target`` is kept, if the server can go on from there.
 
     Raises:
-        DataError: the server cannot be reached, refuses, or breaks off.
+        DataError: the server cannot be reached, refuses, or breaks off, or the disk is full.
     """
     have = target.stat().st_size if target.exists() else 0
     headers = {"User-Agent": "monoloc"} | ({"Range": f"bytes={have}-"} if have else {})
@@ -40,6 +42,8 @@ def download(url: str, target: Path, progress: Progress) -> None:
             url, f"is refused ({error.code} {error.reason})", "look whether its page has moved"
         ) from error
     except (URLError, OSError, http.client.HTTPException) as error:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise DataError(target, f"cannot be written ({error.strerror})", _MAKE_ROOM) from error
         reason = error.reason if isinstance(error, URLError) else error
         raise DataError(url, f"cannot be downloaded ({reason or type(error).__name__})", _AGAIN) from error
     if total is not None and size != total:

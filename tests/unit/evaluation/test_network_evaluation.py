@@ -11,6 +11,7 @@ from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.evaluation.network_evaluation import evaluate_network
 from onnx_networks import onnx_network, spec
+from refusals import refuses_data
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 # Disparity below the shift is no depth: this network predicts near surfaces only.
@@ -54,6 +55,13 @@ def test_network_without_depth_at_known_pixels_is_refused(recording: RoomRecordi
     predictor = DepthPredictor(DepthModel(onnx_network(none), none, "none"), SMALL_CAMERA)
     with pytest.raises(DataError, match="none: gives no depth at any pixel of known depth; "):
         evaluate_network(predictor, recording)
+
+
+def test_a_recording_without_known_depth_is_refused(
+    recording: RoomRecording, predictor: DepthPredictor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "depth", lambda index: np.zeros((SMALL_CAMERA.height, SMALL_CAMERA.width)))
+    refuses_data(lambda: evaluate_network(predictor, recording), recording.name, "has no depth at any pixel", "check")
 
 
 def test_depth_at_a_few_pixels_is_compared_without_a_calibration(

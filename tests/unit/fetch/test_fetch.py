@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +15,7 @@ from archive_server import ArchiveServer, serving, tarred, zipped
 from cli_helpers import json_of, listing, outputs, refused, succeeds
 from monoloc.cli import fetch
 from monoloc.cli.main import invoke
+from monoloc.fetch import download as downloading
 from monoloc.fetch import unpack as unpacking
 from monoloc.fetch.data_sets import DATA_SETS, DataSet
 from refusals import refuses_data
@@ -97,6 +100,17 @@ def test_page_in_place_of_an_archive_is_not_recorded(
     (tmp_path / "scene.zip").unlink()
     server.content = SCENE
     succeeds(capfd, *fetched(tmp_path))
+
+
+def test_full_disk_is_not_blamed_on_the_connection(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], server: ArchiveServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(*arguments: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(downloading, "_write", write)
+    assert invoke([*fetched(tmp_path)]) == 2
+    assert "scene.zip: cannot be written (No space left on device); make room, and" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("content", ["[]", "no JSON", '{"https://example.org": 1}'])
