@@ -48,7 +48,7 @@ class EditTarget:
         if len(edited.edits) >= len(bundle.edits):  # as many where the first one was dropped
             last = edited.edits[-1]
             content |= {**last.record.model_dump(mode="json"), "undo_bytes": len(last.undo)}
-            _remark(last.record)
+            _remark(last.record, target)
         else:
             undone_edit = bundle.edits[-1].record
             content |= {"kind": "undo", "undone": undone_edit.model_dump(mode="json")}
@@ -74,9 +74,9 @@ def readable(values: dict[str, Any]) -> dict[str, Any]:
     return shown
 
 
-def _remark(record: EditRecord) -> None:
-    """Say what the record of an addition holds against it."""
-    changes, source = record.changes, record.parameters.get("source", record.parameters.get("cloud"))
+def _remark(record: EditRecord, bundle: Path) -> None:
+    """Say what the record of an edit holds against it: against what was added, or against the bundle."""
+    changes, source = record.changes, record.parameters.get("source", record.parameters.get("cloud", bundle))
     for warning in changes.get("warnings", []):
         warn(source, warning)
     if left_out := changes.get("frames_left_out"):

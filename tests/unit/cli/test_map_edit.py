@@ -63,6 +63,12 @@ def test_edit_of_a_signed_bundle_removes_the_signature_and_says_so(
     assert "signature" not in err
 
 
+def test_warning_of_a_removal_names_the_bundle(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    _, err = outputs(capfd, *EDIT, "remove", "--box", "-9,-9,-9,9,9,2.9")
+    (warning,) = err.splitlines()
+    assert warning.startswith("warning: room.monoloc: ") and warning.endswith("if it was a wrong one, undo")
+
+
 def test_turned_object_is_at_its_place(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     json_of(capfd, *EDIT, "add", "cube.npz", "--at", "1.2,0.7,0", "--turn", "45")
     room, edited = mapped_room(), read_bundle(here / "room.monoloc")
