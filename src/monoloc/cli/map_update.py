@@ -28,10 +28,12 @@ from monoloc.cli.common import (
     print_table,
     say_written,
     stderr,
+    warn,
 )
 from monoloc.cli.map_looking import warn_of_up
 from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.edit_record import Edit
 from monoloc.editing.as_found import AsFound
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import DataError, SettingError
@@ -138,9 +140,16 @@ def update(
             write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         note(target, SIGNATURE_REMOVED)
+    _warn_of(updated.edits[len(updated.edits) - len(chosen) :], target)
     _print(target, flights, evidence, proposed, chosen, plot, json, 0 if unused is None else 1)
     if unused is not None:
         raise unused
+
+
+def _warn_of(edits: Sequence[Edit], bundle: Path) -> None:
+    for edit in edits:
+        for warning in edit.record.changes.get("warnings", []):
+            warn(bundle, warning)
 
 
 def _none_used(flights: Sequence[ObservedFlight]) -> DataError | None:

@@ -152,6 +152,8 @@ def finish(
         shares = _changed_shares(before, change, rng)
         edited = replace(edited, reference_poses=_biases_follow(edited.reference_poses, shares))
         measured = {"largest_share_of_a_view": round(float(shares.max(initial=0.0)), 3), **measured}
+    if (problem := _other_gravity(before.down, edited.down)) is not None:
+        measured["warnings"] = [*measured.get("warnings", []), problem]
     changes = {
         "components": [len(before.original), len(edited.original)],
         "landmarks": [len(before.landmarks), len(edited.landmarks)],
@@ -160,6 +162,20 @@ def finish(
     }
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return with_edit(before, edited, EditRecord(time=now, kind=kind, parameters=parameters, changes=changes))
+
+
+def _other_gravity(was: FloatArray | None, now: FloatArray | None) -> str | None:
+    """What to say where only one of the maps before and after an edit shows the direction of gravity, (3,).
+
+    Flights level their poses by it, and the frame ``map`` that they publish.
+    """
+    if was is not None and now is None:
+        fix = f"keep it for flights, as down = {was.round(3).tolist()} in flight.toml"
+        return f"the map no longer shows the direction of gravity; {fix}"
+    if was is None and now is not None:
+        fix = "flights use it; undo if it is wrong"
+        return f"the map now shows the direction of gravity, {now.round(3).tolist()}: {fix}"
+    return None
 
 
 def _empty(box: Region, bundle: Bundle) -> SettingError:

@@ -65,7 +65,7 @@ def test_edit_of_a_signed_bundle_removes_the_signature_and_says_so(
 
 def test_warning_of_a_removal_names_the_bundle(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     _, err = outputs(capfd, *EDIT, "remove", "--box", "-9,-9,-9,9,9,2.9")
-    (warning,) = err.splitlines()
+    warning = err.splitlines()[0]
     assert warning.startswith("warning: room.monoloc: ") and warning.endswith("if it was a wrong one, undo")
 
 

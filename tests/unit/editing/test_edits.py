@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edit_helpers import BACK_M, CUBE, DOWN, cube_cloud, mapped_room, shifted
+from edit_helpers import BACK_M, CUBE, DOWN, cube_cloud, mapped_room, room_cloud, shifted
 from monoloc.bundle import Bundle
 from monoloc.editing.box import Box
 from monoloc.editing.edits import add, move, remove
@@ -165,6 +165,21 @@ def test_box_around_most_of_the_room_is_warned_of() -> None:
     (warning,) = remove(room, most, {}, rng()).edits[-1].record.changes["warnings"]
     assert "of the landmarks" in warning and warning.endswith("lay in the box; if it was a wrong one, undo")
     assert "warnings" not in remove(room, CUBE, {}, rng()).edits[-1].record.changes
+
+
+def test_edit_that_takes_or_gives_the_direction_of_gravity_is_warned_of() -> None:
+    """A flight would level its poses, and the frame that it publishes, differently than before."""
+    room = mapped_room()
+    floor = Box.between(np.array([-9.0, 0.35, -9.0]), np.full(3, 9.0), DOWN)
+    walls = remove(room, floor, {}, rng())
+    assert room.down is not None and walls.down is None
+    taken = walls.edits[-1].record.changes["warnings"][-1]
+    assert taken.startswith("the map no longer shows the direction of gravity; keep it for flights, as down = [")
+    ground = room_cloud()[room_cloud()[:, 1] > 0.97]
+    given = add(walls, ground, {}, rng())
+    assert given.down is not None
+    (warning,) = given.edits[-1].record.changes["warnings"]
+    assert warning.startswith("the map now shows the direction of gravity, [")
 
 
 def test_box_around_everything_is_refused() -> None:
