@@ -40,9 +40,11 @@ LEAST_FRAMES = 3
 AGREE_M = 0.15
 """Pose distance within which poses agree, and landmarks and surfaces."""
 
+LEAST_OVERLAP = 0.1
+"""Share of the other's surfaces that the map must know."""
+
 _POINTS, _ROUNDS = 1500, 4  # of the surfaces that are aligned, and how often
 _PRIOR = PosePrior(0.1, 0.05)  # of what landmarks give
-_LEAST_OVERLAP = 0.1  # share of the other's surfaces that the map must know
 _KNOWN_POINTS = 0.2  # a voxel: a surface point is known where the map expects so many
 _PAIR_M, _LEAST_PAIRS, _TRIALS = 0.06, 30, 500  # landmarks of two maps: distance of a pair, pairs, triples drawn
 _ROUGHLY_M, _SCALE_PAIRS = 0.3, 5000  # distance of a pair in worlds of other scales; distances that are compared
@@ -164,7 +166,7 @@ def _by_surfaces(
     placed = transform(by_landmarks, cloud)
     is_known = known(bundle, placed)
     overlap = float(is_known.mean())
-    if overlap < _LEAST_OVERLAP:
+    if overlap < LEAST_OVERLAP:
         problem = f"does not fit: where landmarks place it, the map knows {overlap:.0%} of its surfaces"
         raise DataError(name, problem, "give one that overlaps the room")
     # About the middle of the surfaces, so that a turn does not shift them.

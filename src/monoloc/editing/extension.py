@@ -69,7 +69,7 @@ def extend(
         T_world_other = alignment.T_world_other
         measured |= {"agreeing_frames": alignment.agreeing, **_described(alignment)}
     else:
-        check = check_same_world(bundle, recording, posed)
+        check = check_same_world(bundle, recording, posed, cloud)
         measured["frames_confirmed_by_landmarks"] = check.confirmed
         measured["frames_contradicted_by_landmarks"] = check.contradicted
         measured["frames_looked_at"] = check.looked_at

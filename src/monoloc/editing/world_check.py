@@ -1,4 +1,4 @@
-"""Whether a recording's poses are in the room's world, by the room's landmarks.
+"""Whether a recording's poses are in the room's world, by the room's landmarks, or by surfaces where it has none.
 
 A frame confirms its pose if landmarks localise it there, or if its depth is that of the landmarks that should be in
 view. Away from the build's views few landmarks are recognised, but where they should be is known. It contradicts its
@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.depth.depth_image import sample_depth
-from monoloc.editing.alignment import AGREE_M, LEAST_FRAMES, LOOKED_AT, PosedFrames, consensus
+from monoloc.editing.alignment import (
+    AGREE_M,
+    LEAST_FRAMES,
+    LEAST_OVERLAP,
+    LOOKED_AT,
+    PosedFrames,
+    consensus,
+    known,
+)
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, pose_distance_m, transform
 from monoloc.io.recording import Recording, evenly_spaced
@@ -40,18 +48,22 @@ class WorldCheck:
     looked_at: int
 
 
-def check_same_world(bundle: Bundle, recording: Recording, posed: PosedFrames) -> WorldCheck:
-    """Refuse a recording whose poses are in another world, as far as landmarks tell.
+def check_same_world(bundle: Bundle, recording: Recording, posed: PosedFrames, cloud: FloatArray) -> WorldCheck:
+    """Refuse a recording whose poses are in another world, as far as landmarks tell, or surfaces without them.
 
     Args:
         bundle: the room.
         recording: with poses and depth.
         posed: its :func:`monoloc.editing.alignment.poses_by_landmarks`.
+        cloud: of the recording, (N, 3), where its poses place it, metres.
 
     Raises:
         DataError: landmarks agree on another world, most of the frames that they tell of contradict their poses, or
-            no frame confirms its pose although the room has landmarks.
+            no frame confirms its pose; or the room has no landmarks, and knows hardly any of the surfaces.
     """
+    if not len(bundle.landmarks):
+        _check_surfaces(bundle, recording.name, cloud)
+        return WorldCheck(0, 0, 0)
     poses = recording.poses
     assert poses is not None
     found, there = posed
@@ -70,11 +82,21 @@ def check_same_world(bundle: Bundle, recording: Recording, posed: PosedFrames) -
         compared = check.confirmed + check.contradicted
         problem = f"contradicts the map: {check.confirmed} of {compared} frames see the landmarks that they should"
         raise DataError(recording.name, problem, "check its poses: monoloc check; or align it: --align")
-    if check.confirmed == 0 and len(bundle.landmarks):
+    if check.confirmed == 0:
         problem = f"shows nothing of the map: its landmarks confirm none of the {len(frames)} frames looked at"
         fix = "give a walk that begins where the map's recording looked; for another room, build a place"
         raise DataError(recording.name, problem, fix, page="how-to/many-rooms")
     return check
+
+
+def _check_surfaces(bundle: Bundle, name: str, cloud: FloatArray) -> None:
+    overlap = float(known(bundle, cloud).mean())
+    if overlap < LEAST_OVERLAP:
+        problem = (
+            f"shows too little of the map: where its poses place it, the map knows {overlap:.0%} of its surfaces"
+        )
+        fix = "give a walk in the map's world that begins where the map's recording looked"
+        raise DataError(name, problem, fix)
 
 
 def _said(bundle: Bundle, recording: Recording, index: int, is_elsewhere: bool) -> bool | None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from altered_recordings import Altered
-from edit_helpers import bundle_of_walk, walk
+from edit_helpers import VOXEL_M, bundle_of_walk, in_another_world, walk
 from monoloc.bundle import Bundle
 from monoloc.editing.alignment import poses_by_landmarks
 from monoloc.editing.world_check import WorldCheck, check_same_world
 from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.io.recording import Recording
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.map.cloud import cloud_from_recording
 from refusals import refuses_data
 from synthetic_room import Room, RoomRecording, make_path
 
@@ -21,7 +25,8 @@ HALF_TURN = make_pose(so3_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))
 
 def checked(recording: Recording, room: Bundle | None = None) -> WorldCheck:
     room = room or bundle_of_walk("A")
-    return check_same_world(room, recording, poses_by_landmarks(room, recording))
+    cloud = cloud_from_recording(recording, VOXEL_M)
+    return check_same_world(room, recording, poses_by_landmarks(room, recording), cloud)
 
 
 def without_landmarks_in_sight(recording: RoomRecording) -> Altered:
@@ -68,3 +73,11 @@ def test_a_part_that_the_map_never_saw_says_nothing() -> None:
 def test_recording_of_which_landmarks_confirm_no_frame_is_refused() -> None:
     problem = "shows nothing of the map: its landmarks confirm none of the 8 frames looked at"
     refuses_data(lambda: checked(away(begins_in_the_map=0)), "room", problem, "begins where .* build a place")
+
+
+def test_without_landmarks_the_map_must_know_some_of_the_surfaces() -> None:
+    bare = replace(bundle_of_walk("A"), landmarks=Landmarks.none())
+    assert checked(walk("B"), bare) == WorldCheck(confirmed=0, contradicted=0, looked_at=0)
+    elsewhere = in_another_world(walk("B"), make_pose(np.eye(3), np.array([40.0, 0.0, 0.0])))
+    problem = "where its poses place it, the map knows 0% of its surfaces"
+    refuses_data(lambda: checked(elsewhere, bare), "walk-B", problem, "in the map's world that begins where")
