@@ -1,7 +1,8 @@
 """What flights have shown of a room, kept beside its bundle, so that it adds up over flights.
 
 ``NAME.evidence.npz`` beside ``NAME.monoloc``. A landmark is known by a checksum of its point and descriptor, so that
-evidence outlives edits: of landmarks that have gone or moved it is dropped, of new ones there is none yet.
+evidence outlives edits: of landmarks that have gone or moved it is dropped, of new ones there is none yet. Components
+are known likewise: where an edit has put a surface, what flights said of the one before is dropped.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ from numpy.typing import NDArray
 
 from monoloc.array_files import encode_arrays, read_arrays
 from monoloc.bundle import Bundle
+from monoloc.editing.paired_map import cloud_of
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
+from monoloc.map.local_fit import Components
+from monoloc.map.mixture import GaussianMixture
 from monoloc.updating.landmark_ageing import Candidates, candidates_after, landmarks_after, without_known
 from monoloc.updating.observed_flight import ObservedFlight, views_of
-from monoloc.updating.surface_ageing import CountedVoxels, Surfaces, surfaces_after
+from monoloc.updating.surface_ageing import Cells, CountedVoxels, Surfaces, cells_of, surfaces_after
 from monoloc.updating.tally import Tally
 
 _SCHEMA = 1
@@ -90,6 +94,7 @@ def write_evidence(path: Path, evidence: Evidence, bundle: Bundle) -> int:
         "schema": np.array([_SCHEMA]),
         "room": np.array([_room(bundle)]),
         "keys": landmark_keys(bundle.landmarks),
+        "component_keys": _component_keys(bundle.original),
         **evidence.landmarks.to_arrays("landmark_"),
         **{f"corner_{name}": array for name, array in evidence.candidates.corners.to_arrays().items()},
         **evidence.candidates.tally.to_arrays("candidate_"),
@@ -131,6 +136,16 @@ def read_evidence(path: Path, bundle: Bundle) -> Evidence:
 def landmark_keys(landmarks: Landmarks) -> NDArray[np.uint64]:
     """Checksums of L landmarks, (L,): of point and descriptor."""
     rows = np.concatenate([np.ascontiguousarray(landmarks.points).view(np.uint8), landmarks.descriptors], axis=1)
+    return _checksums(rows)
+
+
+def _component_keys(mixture: GaussianMixture) -> NDArray[np.uint64]:
+    """Checksums of K components, (K,): of mean and covariance; weights change with every edit."""
+    arrays = mixture.to_arrays()
+    return _checksums(np.concatenate([arrays["means"], arrays["cholesky"]], axis=1))
+
+
+def _checksums(rows: NDArray[Any]) -> NDArray[np.uint64]:
     digests = b"".join(blake2b(row.tobytes(), digest_size=8).digest() for row in rows)
     return np.frombuffer(digests, np.uint64)
 
@@ -153,10 +168,21 @@ def _decoded(arrays: Mapping[str, NDArray[Any]], bundle: Bundle) -> Evidence:
     return Evidence(
         realigned(Tally.from_arrays(arrays, "landmark_"), arrays["keys"], bundle.landmarks),
         _candidates(arrays, bundle),
-        Surfaces(gone, new, points),
+        Surfaces(gone.without(_edited_cells(arrays, bundle)), new, points),
         tuple(map(str, arrays["flights"].tolist())),
         tuple(map(int, arrays["frames"].tolist())),
     )
+
+
+def _edited_cells(arrays: Mapping[str, NDArray[Any]], bundle: Bundle) -> Cells:
+    """Voxels, (N, 3), of surfaces that edits have put into the map since the evidence was written."""
+    components = Components.of(bundle.original, cloud_of(bundle).points)
+    keys = _component_keys(bundle.original)
+    new = components[~np.isin(keys, arrays.get("component_keys", keys))]  # earlier versions did not keep them
+    if not len(new):
+        return np.zeros((0, 3), dtype=np.int64)
+    count = int(np.ceil(new.mass.sum()))
+    return np.unique(cells_of(new.mixture().sample(count, np.random.default_rng(0))), axis=0)
 
 
 def _candidates(arrays: Mapping[str, NDArray[Any]], bundle: Bundle) -> Candidates:

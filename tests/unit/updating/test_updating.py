@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from altered_recordings import Altered
-from edit_helpers import digest, digest_without_last_edit, written
-from monoloc.bundle import Bundle
-from monoloc.editing.edits import add
+from edit_helpers import digest, digest_without_last_edit, faces, written
+from monoloc.bundle import Bundle, read_bundle, write_bundle
+from monoloc.editing.edits import add, remove
 from monoloc.editing.extension import with_frames
 from monoloc.editing.undo import undone
 from monoloc.errors import DataError
@@ -236,6 +236,24 @@ def test_evidence_comes_back_and_follows_the_landmarks(tmp_path: Path) -> None:
     kept = np.isin(landmark_keys(bundle.landmarks), landmark_keys(mapped().landmarks))
     assert len(followed.landmarks) == len(bundle.landmarks)
     assert np.all(followed.landmarks.flights[~kept] == 0)
+
+
+def test_what_an_edit_has_put_where_a_surface_was_gone_is_not_proposed_for_removal(tmp_path: Path) -> None:
+    """No flight has looked there since."""
+    path = tmp_path / "room.evidence.npz"
+    write_evidence(path, evidence_of(1, 2), mapped())
+    assert proposed(read_evidence(path, mapped()), "remove surfaces")
+    rng = np.random.default_rng(0)
+    another = faces(LEFT.centre - LEFT.half, LEFT.centre + LEFT.half)
+    edited = add(remove(mapped(), LEFT, {}, rng), another, {}, rng)
+    write_bundle(tmp_path / "room.monoloc", edited)
+    room = read_bundle(tmp_path / "room.monoloc")
+    left = read_evidence(path, room)
+    assert not [each for each in proposals(left, room) if each.kind == "remove surfaces"]
+    write_evidence(path, left, room)
+    assert len(read_evidence(path, room).surfaces.gone) == len(left.surfaces.gone)
+    write_evidence(path, evidence_of(1, 2), room)  # flights that have seen it
+    assert len(read_evidence(path, room).surfaces.gone) == len(evidence_of(1, 2).surfaces.gone)
 
 
 def test_damaged_and_foreign_evidence_is_refused(tmp_path: Path) -> None:
