@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction
@@ -18,7 +19,6 @@ from monoloc.editing.alignment import PosedFrames
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
-from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.recording_check.explanations import depth_scale_option
 from monoloc.sensor_depth import sparse_depth
@@ -46,11 +46,11 @@ def depth_ratios(
     return np.asarray(seen_m[is_seen] / local[is_seen, 2])
 
 
-def check_depth_scale(landmarks: Landmarks, recording: Recording, posed: PosedFrames, given: Recording) -> None:
+def check_depth_scale(bundle: Bundle, recording: Recording, posed: PosedFrames, given: Recording) -> None:
     """Refuse a recording whose depth is in another unit than the map.
 
     Args:
-        landmarks: of the map.
+        bundle: the room.
         recording: with depth.
         posed: its :func:`monoloc.editing.alignment.poses_by_landmarks`.
         given: the recording as it was opened, which tells the option that corrects it.
@@ -58,6 +58,7 @@ def check_depth_scale(landmarks: Landmarks, recording: Recording, posed: PosedFr
     Raises:
         DataError: it is.
     """
+    landmarks = bundle.landmarks
     localizer = OrbLandmarkLocalizer(landmarks, recording.camera)
     ratios = []
     for index, pose in zip(posed[0].tolist(), posed[1], strict=True):
@@ -66,8 +67,13 @@ def check_depth_scale(landmarks: Landmarks, recording: Recording, posed: PosedFr
         depth = sparse_depth(recording.depth(index), recording.camera)
         camera, pixels = localizer.detector.camera, keypoints.pixels[where]
         ratios.append(depth_ratios(depth, camera, pixels, pose, landmarks.points[which]))
-    if (found := scale_problem(given, ratios)) is not None:
-        raise DataError(recording.name, *found)
+    if (found := scale_problem(given, ratios)) is None:
+        return
+    problem, fix = found
+    if bundle.provenance.scale_sd is not None:  # to correct right depth would make it contradict the poses
+        doubt = "no depth sensor measured the map's scale: if that is the wrong one"
+        fix = f"{doubt}, build the room from this recording; else {fix}"
+    raise DataError(recording.name, problem, fix)
 
 
 def scale_problem(recording: Recording, ratios: Sequence[FloatArray]) -> tuple[str, str] | None:

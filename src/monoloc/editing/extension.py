@@ -60,7 +60,7 @@ def extend(
     given = recording
     recording, measured = _checked(bundle, given)
     posed = poses_by_landmarks(bundle, recording)
-    check_depth_scale(bundle.landmarks, recording, posed, given)
+    check_depth_scale(bundle, recording, posed, given)
     paired = PairedMap.of(bundle)
     cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
     T_world_other = np.eye(4)

@@ -208,6 +208,13 @@ def test_walk_whose_depth_is_in_another_unit_is_refused(align: bool) -> None:
     refuses_data(lambda: extended(wrong, align, room), "walk-B", problem, "correct its depth")
 
 
+def test_map_of_a_video_may_be_what_has_the_wrong_scale() -> None:
+    wrong, room = Altered(walk("B"), depth=lambda depth: 1.1 * depth), built_from_others(bundle_of_walk("A"))
+    guessed = replace(room, provenance=room.provenance.model_copy(update={"scale_sd": 0.1}))
+    fix = "no depth sensor measured the map's scale: .*, build the room from this recording; else correct its depth"
+    refuses_data(lambda: extended(wrong, bundle=guessed), "walk-B", "1.1 times as far as the map's landmarks", fix)
+
+
 def test_walk_through_another_room_is_refused() -> None:
     other = walk("A", room_seed=7)
     refuses_data(lambda: extended(other, align=True), "walk-A", "is not found in the room", "record it from where")
