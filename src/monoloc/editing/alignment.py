@@ -223,7 +223,8 @@ def _check_scale(name: str, there: FloatArray, here: FloatArray, pose: FloatArra
     factor = float(np.median(here_m[is_far] / there_m[is_far]))
     if abs(np.log(factor)) > _MOST_OFF:
         problem = f"is in another scale: its distances are {factor:.3g} times those of the room"
-        raise DataError(name, problem, "build the wrong one again, from depth and poses in metres")
+        fix = "build the wrong one again, from depth and poses in metres, or from its video with a better --scale"
+        raise DataError(name, problem, fix)
 
 
 def _agree(pose: FloatArray, there: FloatArray, here: FloatArray) -> NDArray[np.bool_]:

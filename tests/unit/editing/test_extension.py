@@ -319,9 +319,8 @@ def test_bundle_of_another_scale_is_not_merged() -> None:
     room, other = bundle_of_walk("A"), bundle_of_walk("B")
     larger = replace(other, landmarks=replace(other.landmarks, points=other.landmarks.points * np.float32(1.08)))
     problem = "is in another scale: its distances are 1.08 times those of the room"
-    refuses_data(
-        lambda: merge(room, larger, "b.monoloc", {}, rng()), "b.monoloc", problem, "build the wrong one again"
-    )
+    fix = "build the wrong one again, from depth and poses in metres, or from its video with a better --scale"
+    refuses_data(lambda: merge(room, larger, "b.monoloc", {}, rng()), "b.monoloc", problem, fix)
 
 
 def test_what_landmarks_would_place_says_where_there_are_none() -> None:
