@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
+from monoloc.editing.seen_space import with_seen_space
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 from monoloc.map.occupancy import FREE, OCCUPIED, UNKNOWN, VoxelGrid, surface_voxels
@@ -55,11 +56,11 @@ def level_voxels(bundle: Bundle, voxel_m: float) -> VoxelGrid:
 
     Raises:
         SettingError: as :func:`monoloc.map.occupancy.surface_voxels`.
+        BundleError: as :func:`monoloc.editing.seen_space.with_seen_space`.
     """
     T = T_map_world(bundle)
-    poses = T @ bundle.reference_poses.poses
-    grid = surface_voxels(transformed(bundle.original, T), voxel_m, poses[:, :3, 3])
-    return grid.with_free_space(poses, bundle.camera)
+    eyes = (T @ bundle.reference_poses.poses)[:, :3, 3]
+    return with_seen_space(surface_voxels(transformed(bundle.original, T), voxel_m, eyes), bundle, T)
 
 
 def level_cells(bundle: Bundle, cell_m: float, height_m: float | None) -> LevelCells:

@@ -20,6 +20,7 @@ from monoloc.cli.common import (
 from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, parse_pose
 from monoloc.editing.edit_history import drawn_edits
+from monoloc.editing.seen_space import with_seen_space
 from monoloc.errors import SettingError
 from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.extras import require_extra
@@ -216,10 +217,9 @@ def _bundle(path: Path) -> dict[str, object]:
 
 def _seen(bundle: Bundle) -> dict[str, object]:
     """Volume of the surfaces, and of the space that the build's cameras saw through, by voxels of 10 cm or more."""
-    poses = bundle.reference_poses.poses
-    eyes = poses[:, :3, 3]
+    eyes = bundle.reference_poses.poses[:, :3, 3]
     grid = surface_voxels(bundle.original, fitting_voxel_m(bundle.original, _SEEN_VOXEL_M, eyes), eyes)
-    grid = grid.with_free_space(poses, bundle.camera)
+    grid = with_seen_space(grid, bundle, np.eye(4))
     return {"surface_volume_m3": grid.volume_m3(OCCUPIED), "free_volume_m3": grid.volume_m3(FREE)}
 
 

@@ -72,7 +72,7 @@ class VoxelGrid:
         is_hit = self.at(origin + ways_m[:, None, None] * directions) == OCCUPIED
         return np.where(is_hit.any(axis=0), ways_m[is_hit.argmax(axis=0)], np.inf)
 
-    def with_free_space(self, poses: FloatArray, camera: Camera) -> VoxelGrid:
+    def with_free_space(self, poses: FloatArray, camera: Camera, then: VoxelGrid | None = None) -> VoxelGrid:
         """The grid with the space free that cameras saw through: up to a voxel before the first occupied one.
 
         What is before no surface within 4 m stays unknown, since nothing says how far a ray went there.
@@ -80,6 +80,7 @@ class VoxelGrid:
         Args:
             poses: ``T_grid_camera``, (V, 4, 4); some of many are used.
             camera: of all of them.
+            then: the surfaces when they looked, which hid what is behind them, too; None if they are the same.
         """
         if len(poses) == 0:
             return self
@@ -89,6 +90,8 @@ class VoxelGrid:
         for pose in poses[evenly_spaced(len(poses), _MOST_VIEWS)]:
             directions = rays @ pose[:3, :3].T
             reach_m = self.distances_m(pose[:3, 3], directions, _SEEN_M)
+            if then is not None:
+                reach_m = np.minimum(reach_m, then.distances_m(pose[:3, 3], directions, _SEEN_M))
             is_seen = np.isfinite(reach_m) & (ways_m[:, None] < reach_m - self.voxel_m)
             points = (pose[:3, 3] + ways_m[:, None, None] * directions)[is_seen]
             cells = np.floor(points / self.voxel_m).astype(np.int64) - self.first
