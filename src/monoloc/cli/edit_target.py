@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from monoloc.bundle import Bundle, read_bundle, write_bundle
+from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.bundle_output import SIGNATURE_REMOVED, check_bundle_output, note_replaced
 from monoloc.cli.common import note, print_figures, stderr, warn
@@ -36,6 +36,7 @@ class EditTarget:
                 note_replaced(out)
         found = AsFound.of(target_of(target))
         bundle = read_bundle(self.path)
+        check_target(target)  # before the change is made, which may take minutes
         began = time.perf_counter()
         edited = change(bundle)
         seconds = time.perf_counter() - began

@@ -267,6 +267,16 @@ def test_edit_of_a_bundle_that_another_command_changed_meanwhile_is_refused(
     assert states == [listing(here)]  # the other's edit is there, and no other
 
 
+def test_write_protected_bundle_is_refused_before_the_recording_is_looked_at(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recording(here / "walk", RoomRecording(Room(), make_path(3), SMALL_CAMERA))
+    (here / "room.monoloc").chmod(0o555)
+    monkeypatch.setattr("monoloc.cli.map_edit.extend", lambda *_: pytest.fail("the recording was looked at"))
+    command = (*EDIT, "extend", "folder:walk")
+    refused(capfd, here, command, "room.monoloc", "is write-protected", "chmod -R u\\+w")
+
+
 def test_edit_that_cannot_be_written_leaves_the_bundle(
     here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
