@@ -189,6 +189,11 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         raise TypeError(f"bundle must be a bundle, after its path, got {type(bundle).__name__}")
     path = Path(path)
     check_target(path)
+    return write_folder(path, contents_of(bundle))
+
+
+def contents_of(bundle: Bundle) -> dict[str, bytes]:
+    """The files of a bundle, by name, as :func:`write_bundle` writes them."""
     contents = {
         _MAP: _pack_maps(bundle),
         _LANDMARKS: encode_arrays(bundle.landmarks.to_arrays()),
@@ -213,7 +218,7 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         edits=[edit.record for edit in bundle.edits],
     )
     contents[MANIFEST] = seal(manifest)
-    return write_folder(path, contents)
+    return contents
 
 
 def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundle:

@@ -33,6 +33,7 @@ from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_worl
 from monoloc.place.place_files import Place, check_place_target, make_place, read_place, replaced_doors, write_place
 from monoloc.place.place_run import PlaceRun, localize_in_place
 from monoloc.place.place_table import PlaceTable
+from monoloc.place.place_update import updated_place
 from monoloc.progress import ConsoleProgress
 
 app = typer.Typer(help="Join rooms by doors, and localise across them.", no_args_is_help=True, rich_markup_mode=None)
@@ -119,6 +120,27 @@ def door(
     write_place(joined.with_door(measured.door))
     content = {"place": str(place), **_described(measured)}
     print_figures(str(place), content, json)
+
+
+@app.command()
+def update(place: PlaceArgument, require_signature: RequireSignatureOption = None, json: JsonOption = False) -> None:
+    """Take in the edits of a place's bundles; the doors stay.
+
+    Edits keep the world of a room. A bundle that was built anew is refused, since its world may be another.
+
+    \b
+    Examples:
+      monoloc place update house.place
+    """
+    updated, edits = updated_place(place, require_signature)
+    size = write_place(updated) if edits else None
+    if json:
+        print_json({"place": str(place), "edits": edits, "bytes": size})
+    elif edits:
+        print_table(str(place), ["room", "edits taken in"], [[name, str(count)] for name, count in edits.items()])
+        say_written(place)
+    else:
+        stderr.print(f"{place} has its bundles as they are", soft_wrap=True)
 
 
 @app.command()

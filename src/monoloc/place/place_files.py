@@ -127,21 +127,33 @@ def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = No
         name = _name_of(bundle)
         if name in rooms:
             raise SettingError("ROOM", f"two bundles are named {name}", "rename one: a room is named as its bundle")
-        room, digest = read_bundle(bundle, public_key), digest_of(bundle)
+        digest, selected = described_room(bundle, public_key)
         if same := next((other for other in rooms.values() if other.sha256 == digest), None):
             problem = f"{same.name} and {name} are copies of one bundle, which landmarks cannot tell apart"
             raise SettingError("ROOM", problem, "name the bundle of each room once")
-        if not room.supports_landmark_search:
-            fix = "build it with landmarks, from a recording in which several frames see the same corners"
-            raise DataError(bundle, f"has fewer than {LEAST_RELOCALIZED} landmarks, which tell rooms apart", fix)
         relative = Path(os.path.relpath(bundle.resolve(), target_of(path))).as_posix()
         rooms[name] = RoomEntry(name=name, bundle=relative, sha256=digest)
-        descriptors.append(selected_descriptors(room.landmarks))
+        descriptors.append(selected)
     content = _packed(descriptors)
     manifest = PlaceManifest(
         monoloc_version=__version__, rooms=tuple(rooms.values()), index_sha256=hashlib.sha256(content).hexdigest()
     )
     return Place(path, manifest, tuple(descriptors), None if public_key is None else read_public_key(public_key))
+
+
+def described_room(bundle: Path, public_key: Path | None = None) -> tuple[str, NDArray[np.uint8]]:
+    """What a place keeps of a bundle: its digest, and the descriptors that stand for it, (K, 32).
+
+    Raises:
+        BundleError: it is no bundle, or not signed with the key.
+        DataError: it has too few landmarks, which tell rooms apart, or the key is none.
+        MissingExtraError: as :func:`monoloc.bundle_signature.read_public_key`, with a key only.
+    """
+    room, digest = read_bundle(bundle, public_key), digest_of(bundle)
+    if not room.supports_landmark_search:
+        fix = "build it with landmarks, from a recording in which several frames see the same corners"
+        raise DataError(bundle, f"has fewer than {LEAST_RELOCALIZED} landmarks, which tell rooms apart", fix)
+    return digest, selected_descriptors(room.landmarks)
 
 
 def _name_of(bundle: Path) -> str:
@@ -223,19 +235,31 @@ def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: b
     return Place(path, manifest, _read_index(path / PLACE_INDEX, manifest), key)
 
 
+def read_unchecked(path: Path, public_key: Path | None = None) -> Place:
+    """Read a place to be changed, whatever its bundles are now; raises as :func:`read_place` of the place itself."""
+    manifest = parse_place(place_content(path), path / PLACE_MANIFEST)
+    key = None if public_key is None else read_public_key(public_key)
+    return Place(path, manifest, _read_index(path / PLACE_INDEX, manifest), key)
+
+
+def bundle_of(path: Path, room: RoomEntry) -> Path:
+    """Where the bundle of a room of a place lies."""
+    return Path(os.path.normpath(target_of(path) / room.bundle))
+
+
 def _checked_bundle(path: Path, room: RoomEntry, key: PublicKey | None) -> tuple[Path, bytes]:
     """Where a room's bundle lies, and its manifest, which is the place's and signed if there is a key.
 
     Its other files are not looked at. The place itself need not be written yet.
     """
-    bundle = Path(os.path.normpath(target_of(path) / room.bundle))
+    bundle = bundle_of(path, room)
     try:
         content = manifest_content(bundle)
     except BundleError as error:
         fix = f"put it back, or {_AGAIN}"
         raise BundleError(bundle, f"the bundle of room {room.name} is missing", fix) from error
     if hashlib.sha256(content).hexdigest() != room.sha256:
-        fix = f"put the old one back, or {_AGAIN}"
+        fix = f"where it was edited: monoloc place update; else put the old one back, or {_AGAIN}"
         raise BundleError(bundle, f"is not the bundle that room {room.name} was made of", fix)
     if key is not None:
         key.check(bundle, content)
