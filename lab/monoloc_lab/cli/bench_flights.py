@@ -23,6 +23,7 @@ from monoloc.cli.common import (
     print_table,
     stderr,
     text_of,
+    warn,
 )
 from monoloc.cli.output_checks import check_folder
 from monoloc.errors import SettingError
@@ -66,6 +67,10 @@ def recovery(
     figures = bench_recovery(room, recording, kidnaps, starts, map_edits, seed, ConsoleProgress(stderr))
     if starts and not figures.supports_starts:
         stderr.print(f"{bundle} does not support starts without a pose, so none of them counts as found")
+    rates = [each for each in (figures.global_start_rate, figures.kidnap_recovery_rate) if each is not None]
+    if rates and not any(rates):
+        asks = f"monoloc check {bundle} {source} shows whether it is another room"
+        warn(source, f"the camera was found after no start and no kidnap; {asks}")
     content = asdict(figures)
     if json:
         print_json(content)

@@ -36,13 +36,15 @@ from monoloc_lab.synth.sequence import ROOM, RenderConfig, render_sequence
 app = typer.Typer(help="Generate rooms, plan flights, and render them.", no_args_is_help=True, rich_markup_mode=None)
 
 _FOCAL_SHARE = 0.854  # focal length over width: the field of view of NYU, 61 degrees
-_FLIGHT = "flight.txt"
+_FLIGHT, _SECONDS = "flight.txt", 10.0
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Output folder.")]
 RoomOption = Annotated[
     Path | None, typer.Option("--room", help="A room.json. [OUT/room.json, or a room from the seed]")
 ]
-SecondsOption = Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="Duration of the flight.")]
+SecondsOption = Annotated[
+    float | None, typer.Option("--seconds", min=1.0, max=600.0, help="Duration of the flight. [10]")
+]
 WidthOption = Annotated[
     int, typer.Option("--width", min=32, max=1920, help="Width of the images; the height is 3/4 of it.")
 ]
@@ -82,7 +84,7 @@ def flight(
     out: OutOption,
     seed: SeedOption = 0,
     room: RoomOption = None,
-    seconds: SecondsOption = 10.0,
+    seconds: SecondsOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan the flight of a drone: camera poses at 30 Hz, and simulated IMU and odometer.
@@ -96,7 +98,7 @@ def flight(
     """
     check_folder(out, "--out")
     made = _room(room, out, seed)
-    planned = plan_flight(made, FlightConfig(seconds=seconds), seed)
+    planned = plan_flight(made, FlightConfig(seconds=seconds or _SECONDS), seed)
     rng = np.random.default_rng([seed, 0x1A1])
     poses = planned.camera_poses()
     out.mkdir(exist_ok=True)
@@ -120,7 +122,7 @@ def render(
     poses: Annotated[
         Path | None, typer.Option("--poses", help="A TUM trajectory. [OUT/flight.txt, or a flight from the seed]")
     ] = None,
-    seconds: SecondsOption = 10.0,
+    seconds: SecondsOption = None,
     every: Annotated[int, typer.Option("--every", min=1, help="Render every N-th pose.")] = 2,
     lights: Annotated[
         list[str] | None, typer.Option("--light", help="L1, L2 or L3; may be repeated. [all three]")
@@ -242,11 +244,14 @@ def _check_same_room(out: Path, room: Room) -> None:
 
 
 def _trajectory(
-    given: Path | None, out: Path, room: Room, seconds: float, seed: int
+    given: Path | None, out: Path, room: Room, seconds: float | None, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    if given is not None or (out / _FLIGHT).is_file():
-        return read_tum(given or out / _FLIGHT)
-    planned = plan_flight(room, FlightConfig(seconds=seconds), seed)
+    file = given or out / _FLIGHT
+    if given is not None or file.is_file():
+        if seconds is not None:
+            raise SettingError("--seconds", f"has no effect: the flight is that of {file}", "leave it out")
+        return read_tum(file)
+    planned = plan_flight(room, FlightConfig(seconds=seconds or _SECONDS), seed)
     return planned.times_s, planned.camera_poses()
 
 

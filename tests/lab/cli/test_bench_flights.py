@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from cli_helpers import json_of, outputs, refused
+from edit_helpers import in_another_world
 from monoloc.bundle import write_bundle
+from monoloc.geometry import se3_exp
 from synthetic_room import (
     SETTINGS,
     SMALL_CAMERA,
@@ -76,6 +78,12 @@ def test_recovery_and_faults_print_tables(capfd: Capture, folder: Path) -> None:
     arguments = (str(folder / "room.monoloc"), str(folder / "flight"), "--frames", "0:240")
     out, _ = outputs(capfd, "bench", "recovery", *arguments, "--kidnaps", "0", "--starts", "0", "--map-edits", "0")
     assert "false tracking rate" in out
+    moved = se3_exp([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    elsewhere = in_another_world(RoomRecording(Room(), make_path(100), SMALL_CAMERA), moved)
+    write_recording(folder / "elsewhere", elsewhere)
+    of_other = (str(folder / "room.monoloc"), str(folder / "elsewhere"), "--kidnaps", "0", "--map-edits", "0")
+    _, err = outputs(capfd, "bench", "recovery", *of_other, "--starts", "1")
+    assert "was found after no start and no kidnap; monoloc check" in err
     out, err = outputs(
         capfd, "bench", "faults", *arguments, "--only", "black", "--only", "dropped-10s", "--flights", "1"
     )

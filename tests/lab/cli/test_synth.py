@@ -72,6 +72,8 @@ def test_blur_uses_the_velocities_of_the_whole_flight(
     out = str(tmp_path / "flight")
     succeeds(capfd, "synth", "flight", "--seconds", "2", "--room", str(home / "room.json"), "--out", out)
     times_s, poses = read_tum(tmp_path / "flight" / "flight.txt")
+    render = ("synth", "render", "--seconds", "2", "--out", out)
+    refused(capfd, tmp_path, render, "--seconds", "has no effect: the flight is that of .*flight.txt", "leave it out")
     succeeds(capfd, "synth", "render", "--every", "6", "--light", "L2", "--out", out)
     np.testing.assert_array_equal(given["poses"], poses[::6])
     np.testing.assert_array_equal(given["velocities"], velocities(poses, times_s)[::6])
