@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,8 +14,7 @@ from monoloc.bundle import Bundle
 from monoloc.edit_record import EditRecord
 from monoloc.editing.box import Box
 from monoloc.editing.paired_map import cloud_of, down_direction
-from monoloc.editing.undo import undone
-from monoloc.errors import BundleError
+from monoloc.editing.undo import states
 from monoloc.geometry import FloatArray, so3_exp
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.map.local_fit import Components
@@ -69,15 +69,7 @@ def drawn_edits(bundle: Bundle, rng: np.random.Generator) -> tuple[DrawnEdit, ..
     Raises:
         BundleError: what undoes an edit is damaged.
     """
-    edits, after = list[DrawnEdit](), bundle
-    while after.edits:
-        try:
-            before = undone(after)
-        except ValueError as error:
-            problem = f"edit {len(after.edits)} cannot be shown ({error})"
-            raise BundleError("edits.npz", problem, "copy the bundle again or rebuild it") from error
-        edits.append(_drawn(before, after, bundle, rng))
-        after = before
+    edits = [_drawn(before, after, bundle, rng) for after, before in pairwise(states(bundle))]
     return tuple(reversed(edits))
 
 

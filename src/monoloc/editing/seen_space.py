@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 from monoloc.bundle import Bundle
-from monoloc.editing.undo import undone
-from monoloc.errors import BundleError
+from monoloc.editing.undo import states
 from monoloc.geometry import FloatArray
 from monoloc.map.occupancy import VoxelGrid, surface_voxels
 from monoloc.map.surface import transformed
@@ -33,15 +33,9 @@ def with_seen_space(grid: VoxelGrid, bundle: Bundle, T_grid_world: FloatArray) -
 
 def _recorded(bundle: Bundle) -> Iterator[tuple[Bundle, FloatArray]]:
     """The room after each recording that brought reference poses, and these, (V, 4, 4), the newest first."""
-    room = bundle
-    while room.edits:
-        try:
-            before = undone(room)
-        except ValueError as error:
-            problem = f"edit {len(room.edits)} cannot be read ({error})"
-            raise BundleError("edits.npz", problem, "copy the bundle again or rebuild it") from error
+    before = bundle
+    for room, before in pairwise(states(bundle)):
         count = len(before.reference_poses)
         if count < len(room.reference_poses):
             yield room, room.reference_poses.poses[count:]
-        room = before
-    yield room, room.reference_poses.poses
+    yield before, before.reference_poses.poses

@@ -8,7 +8,7 @@ the bytes grow with what it changed.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from monoloc.array_files import MOST_ARRAYS, decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, CloudSize, Provenance
 from monoloc.edit_record import Edit, EditRecord
-from monoloc.errors import SettingError
+from monoloc.errors import BundleError, SettingError
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import se3_exp, se3_log
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
@@ -79,6 +79,22 @@ def undone(bundle: Bundle) -> Bundle:
         return _restored(bundle, arrays)
     except (KeyError, IndexError, TypeError, RecursionError) as error:
         raise ValueError(f"the last edit cannot be taken back ({error})") from error
+
+
+def states(bundle: Bundle) -> Iterator[Bundle]:
+    """The bundle, what it was before its last edit, and so on, to before its first one.
+
+    Raises:
+        BundleError: what undoes an edit is damaged.
+    """
+    yield bundle
+    while bundle.edits:
+        try:
+            bundle = undone(bundle)
+        except ValueError as error:
+            problem = f"edit {len(bundle.edits)} cannot be taken back ({error})"
+            raise BundleError("edits.npz", problem, "copy the bundle again or rebuild it") from error
+        yield bundle
 
 
 def _restored(bundle: Bundle, arrays: _Arrays) -> Bundle:

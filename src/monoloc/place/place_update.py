@@ -7,13 +7,13 @@ taken in only if taking back its edits gives the bundle that the place knows, to
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from monoloc.bundle import Bundle, contents_of, read_bundle
+from monoloc.bundle import contents_of, read_bundle
 from monoloc.bundle_manifest import MANIFEST
-from monoloc.editing.undo import undone
+from monoloc.editing.undo import states
 from monoloc.errors import DataError
 from monoloc.place.place_files import Place, bundle_of, described_room, read_unchecked
 
@@ -47,21 +47,9 @@ def updated_place(path: Path, public_key: Path | None = None) -> tuple[Place, Ma
 
 def _edits_since(path: Path, sha256: str) -> int:
     """How many of a bundle's edits were made since it had a digest."""
-    for count, earlier in enumerate(_earlier(path)):
+    for count, earlier in enumerate(states(read_bundle(path))):
         if hashlib.sha256(contents_of(earlier)[MANIFEST]).hexdigest() == sha256:
             return count
     problem = "is not the bundle that the place knows, with edits made since"
     fix = "put that one back, edited or not, or make the place again: monoloc place new"
     raise DataError(path, problem, fix)
-
-
-def _earlier(path: Path) -> Iterator[Bundle]:
-    """A bundle, and what it was before its last edit, and so on; as far as that can be taken back."""
-    bundle = read_bundle(path)
-    yield bundle
-    while bundle.edits:
-        try:
-            bundle = undone(bundle)
-        except ValueError:
-            return
-        yield bundle

@@ -85,5 +85,5 @@ def test_edit_of_landmarks_alone_has_their_bounds() -> None:
 def test_damaged_undo_is_refused_in_one_line() -> None:
     edited = added_then_moved()
     damaged = replace(edited, edits=(edited.edits[0], replace(edited.edits[1], undo=b"nothing")))
-    with pytest.raises(BundleError, match=r"^edits\.npz: edit 2 cannot be shown \(.*\); copy the bundle again"):
+    with pytest.raises(BundleError, match=r"^edits\.npz: edit 2 cannot be taken back \(.*\); copy the bundle again"):
         drawn_edits(damaged, rng())

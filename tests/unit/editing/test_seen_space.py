@@ -57,5 +57,5 @@ def test_an_added_object_hides_what_is_behind_it() -> None:
 def test_damaged_undo_is_refused() -> None:
     removed = remove(mapped_room(), CUBE, {}, rng())
     damaged = replace(removed, edits=(Edit(removed.edits[0].record, b"nothing"),))
-    with pytest.raises(BundleError, match=r"edits\.npz: edit 1 cannot be read .*; copy the bundle again"):
+    with pytest.raises(BundleError, match=r"edits\.npz: edit 1 cannot be taken back .*; copy the bundle again"):
         states_at(damaged, behind_the_cube())
