@@ -35,7 +35,7 @@ def test_memory_that_grows_is_seen(
     write_workspace(tmp_path, RoomRecording(Room(), make_path(10), SMALL_CAMERA), 40)
     monkeypatch.setattr(many_steps, "_LAPS", 5)
     command = ("bench", "soak", str(tmp_path / "room.monoloc"), str(tmp_path / "flight"), "--steps", "200")
-    assert "resident_mb_growth" in outputs(capfd, *command)[0]
+    assert "resident mb growth" in outputs(capfd, *command)[0]
     kept, step = [], Localizer.step
 
     def leaking(self: Localizer, *arguments: Any) -> Step:
