@@ -114,9 +114,10 @@ class FlightSummary:
 
     Attributes:
         frames: localised.
-        dropped: frames that were not, by reason: ``skipped`` (a newer one had come), ``old`` (older than the limit
-            when their turn came), ``future`` (captured after they came, by a clock that is wrong), ``unordered``
-            (captured no later than the one before), ``without start`` (before the first marker).
+        dropped: frames that were not, by reason: ``early`` (the room was still being read), ``skipped`` (a newer one
+            had come), ``old`` (older than the limit when their turn came), ``future`` (captured after they came, by a
+            clock that is wrong), ``unordered`` (captured no later than the one before), ``without start`` (before the
+            first marker).
         states: number of frames in each state.
         levels: number of frames at each level of the budget.
         poses: of frames that are not *lost*, if there is an autopilot: ``sent``, or why they were not: ``old`` (older
@@ -233,7 +234,7 @@ class Flight:
         self._is_lost, self._is_waiting = starting.begins != "known", starting.begins == "waiting"
         self._previous: LiveFrame | None = None
         self._start: Start | None = None
-        self._sequence = -1
+        self._sequence: int | None = None  # of the last frame
         self._failed: list[FlightOutput] = []
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -257,8 +258,7 @@ class Flight:
                     self._hand_on(methodcaller("idle", self._source.now_s()))
 
     def _is_in_time(self, frame: LiveFrame) -> bool:
-        self._summary.dropped["skipped"] += frame.sequence - self._sequence - 1
-        self._sequence = frame.sequence
+        self._count_unseen(frame.sequence)
         age_s = self._source.now_s() - frame.captured_s
         if age_s > self._most_age_s:
             reason = "old"
@@ -270,6 +270,13 @@ class Flight:
             return True
         self._summary.dropped[reason] += 1
         return False
+
+    def _count_unseen(self, sequence: int) -> None:
+        """Count the images between the last frame and this one; before the first, the room was still being read."""
+        if self._sequence is None and sequence > 0:
+            self._summary.dropped["early"] += sequence
+        self._summary.dropped["skipped"] += 0 if self._sequence is None else sequence - self._sequence - 1
+        self._sequence = sequence
 
     def _begins(self, frame: LiveFrame) -> bool:
         """Whether the frame can be localised, after a start was looked for in it, if that is needed."""

@@ -248,11 +248,12 @@ def _of_timing(
     if rate_hz is not None:
         level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or firmware is None else "bad"
         level = "good" if rate_hz >= _LEAST_SHARE * _GOOD_RATE_HZ else level
-        is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
+        dropped = summary.dropped.total() - summary.dropped["early"]
+        is_slow_camera = dropped <= _FEW_DROPPED * summary.frames
         asked = "" if firmware is None else f"; {firmware.title} asks for {firmware.asked_rate}"
         fix = f"the source gives no more{asked}" if is_slow_camera else faster
         remark = "" if level == "good" else fix
-        yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
+        yield Finding("rate", level, f"{rate_hz:.1f} Hz, {dropped} frames dropped", remark)
     if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning"
         level = level if p95_s <= most_age_s else "bad"

@@ -171,6 +171,11 @@ def test_elapsed_time_is_between_times_of_capture_also_across_frames_that_were_n
     assert summary.dropped == {"skipped": 1, "old": 1, "unordered": 1}
 
 
+def test_images_that_came_while_the_room_was_being_read_are_no_skipped_ones() -> None:
+    """They do not say that the computer is slow."""
+    assert fly([(100.0, 100.01, 40), (100.1, 100.15, 42)])[0].dropped == {"early": 40, "skipped": 1}
+
+
 def test_a_result_is_known_when_the_step_is_done_and_its_latency_counts_from_the_capture() -> None:
     heard = Heard()
     summary, _ = fly([(100.0, 100.05, 0), (100.1, 100.19, 1)], heard)
