@@ -125,7 +125,10 @@ class Bundle:
         None if neither the recording nor the room's surfaces show it.
         """
         down = np.asarray(self.provenance.down_world)
-        return down if self.provenance.knows_down else down_of(self.original, down)
+        if self.provenance.knows_down:
+            return down
+        kept = self.provenance.kept_down
+        return down_of(self.original, down) if kept is None else np.asarray(kept)
 
 
 def fingerprint(color: NDArray[np.uint8]) -> int:

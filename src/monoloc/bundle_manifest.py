@@ -47,6 +47,7 @@ class Provenance(BaseModel):
         down_world: direction of gravity where the recording states it; or else the mean direction of the cameras' y
             axes over those frames: down, if the camera looked level on average; zero where that is not down.
         knows_down: whether the recording states it.
+        kept_down: else, what floor and walls showed before an edit, so that edits do not turn the level.
         scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
         brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
             None in bundles that do not keep it.
@@ -62,6 +63,7 @@ class Provenance(BaseModel):
     seed: int
     down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
     knows_down: bool = False
+    kept_down: tuple[float, float, float] | None = None
     scale_sd: float | None = None
     brightness: tuple[_GreyLevel, _GreyLevel] | None = None
 

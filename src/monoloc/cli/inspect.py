@@ -91,7 +91,7 @@ def _bundle(path: Path) -> dict[str, object]:
         "network": bundle.depth_model.name,
         "network_spec": bundle.depth_model.spec.model_dump(mode="json", exclude_none=True),
         "depth_bytes": len(bundle.depth_model.content),
-        **bundle.provenance.model_dump(exclude={"frames", "down_world", "knows_down"}),
+        **bundle.provenance.model_dump(exclude={"frames", "down_world", "knows_down", "kept_down"}),
         "frames": len(bundle.provenance.frames),
         **_gravity(bundle),
         **_known_bias(bundle.reference_poses),
@@ -111,9 +111,13 @@ def _gravity(bundle: Bundle) -> dict[str, object]:
     down, is_recorded = bundle.down, bundle.provenance.knows_down
     return {
         "down": None if down is None else [float(value) for value in down],
-        "down_by": None if down is None else "the recording" if is_recorded else "floor and walls",
+        "down_by": None if down is None else "the recording" if is_recorded else _shown_by(bundle),
         "mean_camera_down": None if is_recorded else list(bundle.provenance.down_world),
     }
+
+
+def _shown_by(bundle: Bundle) -> str:
+    return "floor and walls" + ("" if bundle.provenance.kept_down is None else " before the first edit")
 
 
 def _known_bias(reference_poses: ReferencePoses) -> dict[str, object]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.bundle import Bundle
+from monoloc.bundle import Bundle, Provenance
 from monoloc.edit_record import EditKind, EditRecord
 from monoloc.editing.box import Box
 from monoloc.editing.paired_map import PairedMap, cloud_of
@@ -23,10 +23,11 @@ from monoloc.editing.undo import with_edit
 from monoloc.editing.visibility import DepthBuffer, changed_share
 from monoloc.errors import SettingError
 from monoloc.fusion.reference_poses import ReferencePoses
-from monoloc.geometry import FloatArray, transform
+from monoloc.geometry import FloatArray, angle_between, transform
 from monoloc.io.recording import evenly_spaced
 from monoloc.landmarks.landmark_map import LandmarkViews
 from monoloc.map.cloud import voxel_thin
+from monoloc.map.down_direction import down_of
 from monoloc.map.local_fit import Components, Region, fitted, part
 
 _SHOWN = 4000  # points of the map that tell which part of a view has changed
@@ -36,6 +37,7 @@ _LEAST_LEFT = 0.5  # of a map; if a removal leaves less, its box may be a wrong 
 # Times as many points as at twice the map's spacing: four of a surface, two of a wire. At this, a surface has a third
 # of its points; obstacles begin at a quarter.
 _LEAST_THINNED = 1.5
+_OTHER_GRAVITY_RAD = np.deg2rad(3.0)  # edits turn what floor and walls show by less; flights use gravity up to 6
 _MOST_BEYOND_M = 10.0  # from the map to what an edit puts somewhere: farther, it is of no use in a room
 
 
@@ -152,7 +154,8 @@ def finish(
         shares = _changed_shares(before, change, rng)
         edited = replace(edited, reference_poses=_biases_follow(edited.reference_poses, shares))
         measured = {"largest_share_of_a_view": round(float(shares.max(initial=0.0)), 3), **measured}
-    if (problem := _other_gravity(before.down, edited.down)) is not None:
+    edited = replace(edited, provenance=_with_gravity_of(before, edited.provenance))
+    if (problem := _other_gravity(before.down, edited)) is not None:
         measured["warnings"] = [*measured.get("warnings", []), problem]
     changes = {
         "components": [len(before.original), len(edited.original)],
@@ -164,18 +167,30 @@ def finish(
     return with_edit(before, edited, EditRecord(time=now, kind=kind, parameters=parameters, changes=changes))
 
 
-def _other_gravity(was: FloatArray | None, now: FloatArray | None) -> str | None:
-    """What to say where only one of the maps before and after an edit shows the direction of gravity, (3,).
+def _with_gravity_of(before: Bundle, provenance: Provenance) -> Provenance:
+    """Of the edited bundle, with the direction of gravity that the map before shows, if it shows one.
 
-    Flights level their poses by it, and the frame ``map`` that they publish.
+    Flights level their poses by it, and the frame ``map`` that they publish. Found again in other surfaces, it would
+    turn by some tenths of a degree at every edit.
     """
-    if was is not None and now is None:
-        fix = f"keep it for flights, as down = {was.round(3).tolist()} in flight.toml"
-        return f"the map no longer shows the direction of gravity; {fix}"
-    if was is None and now is not None:
+    if before.down is None or provenance.knows_down:
+        return provenance
+    x, y, z = (float(value) for value in before.down)
+    return provenance.model_copy(update={"kept_down": (x, y, z)})
+
+
+def _other_gravity(was: FloatArray | None, edited: Bundle) -> str | None:
+    """What to say where the surfaces show another direction of gravity after an edit than the map had, (3,)."""
+    if was is None and (now := edited.down) is not None:
         fix = "flights use it; undo if it is wrong"
         return f"the map now shows the direction of gravity, {now.round(3).tolist()}: {fix}"
-    return None
+    if was is None or edited.provenance.knows_down:
+        return None
+    shown = down_of(edited.original, was)
+    if shown is None or (angle := angle_between(shown, was)) < _OTHER_GRAVITY_RAD:
+        return None
+    fix = "if it was wrong before, build the map again"
+    return f"floor and walls now show gravity {np.rad2deg(angle):.0f} degrees from where the map keeps it; {fix}"
 
 
 def _empty(box: Region, bundle: Bundle) -> SettingError:

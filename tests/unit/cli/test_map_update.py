@@ -103,12 +103,12 @@ def test_evidence_lies_beside_the_bundle_that_a_link_leads_to(here: Path, capfd:
 def test_warnings_of_applied_edits_are_printed(
     here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("monoloc.editing.edits._other_gravity", lambda *_: "the map no longer shows it")
+    monkeypatch.setattr("monoloc.editing.edits._other_gravity", lambda *_: "gravity is another")
     _, err = outputs(capfd, *UPDATE)
     assert "warning" not in err
     proposed = len(json_of(capfd, *UPDATE)["proposals"])
     _, err = outputs(capfd, *UPDATE, "--auto")
-    assert err.count("warning: room.monoloc: the map no longer shows it") == proposed > 0
+    assert err.count("warning: room.monoloc: gravity is another") == proposed > 0
 
 
 @pytest.mark.slow

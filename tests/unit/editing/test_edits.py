@@ -11,7 +11,8 @@ from edit_helpers import BACK_M, CUBE, DOWN, cube_cloud, mapped_room, room_cloud
 from monoloc.bundle import Bundle
 from monoloc.editing.box import Box
 from monoloc.editing.edits import add, move, remove
-from monoloc.geometry import FloatArray, make_pose, transform
+from monoloc.editing.undo import undone
+from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 from refusals import refuses_setting
 
 SHIFT = make_pose(np.eye(3), np.array([0.9, 0.0, -0.4]))
@@ -167,16 +168,31 @@ def test_box_around_most_of_the_room_is_warned_of() -> None:
     assert "warnings" not in remove(room, CUBE, {}, rng()).edits[-1].record.changes
 
 
-def test_edit_that_takes_or_gives_the_direction_of_gravity_is_warned_of() -> None:
-    """A flight would level its poses, and the frame that it publishes, differently than before."""
+FLOOR = Box.between(np.array([-9.0, 0.35, -9.0]), np.full(3, 9.0), DOWN)
+
+
+def test_edit_does_not_turn_the_direction_of_gravity() -> None:
+    """Else each edit would turn the frame ``map`` of flights, of exports and of ROS a little."""
     room = mapped_room()
-    floor = Box.between(np.array([-9.0, 0.35, -9.0]), np.full(3, 9.0), DOWN)
-    walls = remove(room, floor, {}, rng())
-    assert room.down is not None and walls.down is None
-    taken = walls.edits[-1].record.changes["warnings"][-1]
-    assert taken.startswith("the map no longer shows the direction of gravity; keep it for flights, as down = [")
-    ground = room_cloud()[room_cloud()[:, 1] > 0.97]
-    given = add(walls, ground, {}, rng())
+    assert room.down is not None
+    for edited in (remove(room, FLOOR, {}, rng()), move(room, CUBE, SHIFT, {}, rng())):
+        assert edited.down == pytest.approx(room.down, abs=1e-15) and undone(edited).provenance == room.provenance
+        assert not [each for each in edited.edits[-1].record.changes.get("warnings", []) if "gravity" in each]
+
+
+def test_edit_after_which_floor_and_walls_show_another_gravity_is_warned_of() -> None:
+    """The one that the map keeps may have been wrong."""
+    room = mapped_room()
+    tilted = room.provenance.model_copy(update={"kept_down": tuple(so3_exp(np.array([0.1, 0.0, 0.0])) @ room.down)})
+    (warning,) = remove(replace(room, provenance=tilted), CUBE, {}, rng()).edits[-1].record.changes["warnings"]
+    assert warning.startswith("floor and walls now show gravity 6 degrees from where the map keeps it; ")
+
+
+def test_edit_that_gives_the_direction_of_gravity_is_warned_of() -> None:
+    """A flight would level its poses, and the frame that it publishes, differently than before."""
+    walls = replace(remove(mapped_room(), FLOOR, {}, rng()), provenance=mapped_room().provenance)
+    assert walls.down is None
+    given = add(walls, room_cloud()[room_cloud()[:, 1] > 0.97], {}, rng())
     assert given.down is not None
     (warning,) = given.edits[-1].record.changes["warnings"]
     assert warning.startswith("the map now shows the direction of gravity, [")
