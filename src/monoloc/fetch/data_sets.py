@@ -40,7 +40,7 @@ def _tum(camera: str, name: str) -> DataSet:
 
 DATA_SETS = {
     **{name: _seven_scenes(name) for name in ("chess", "fire", "heads", "office", "pumpkin", "redkitchen", "stairs")},
-    **{f"fr1-{name}": _tum("freiburg1", name) for name in ("desk", "room")},
+    **{f"fr1-{name}": _tum("freiburg1", name) for name in ("desk", "room", "rpy")},
     "fr3-office": _tum("freiburg3", "long_office_household"),
 }
 """Recordings by name. Neither publisher states checksums."""

@@ -191,7 +191,7 @@ def test_zip_stays_in_its_folder(tmp_path: Path) -> None:
 def test_known_recordings_name_terms_and_a_format_that_reads_them(capfd: pytest.CaptureFixture[str]) -> None:
     listed = json_of(capfd, "fetch")
     lines = succeeds(capfd, "fetch").splitlines()
-    assert f"terms of fr1-desk, fr1-room, fr3-office: {DATA_SETS['fr1-desk'].terms}" in lines
+    assert f"terms of fr1-desk, fr1-room, fr1-rpy, fr3-office: {DATA_SETS['fr1-desk'].terms}" in lines
     assert list(listed) == list(DATA_SETS) and "redkitchen" in listed
     for data_set in DATA_SETS.values():
         assert data_set.terms.startswith("https://") and data_set.archive.startswith("https://")
