@@ -50,7 +50,10 @@ def test_a_wrong_scale_is_not_taken_for_a_wrong_focal_length(room: tuple[Recordi
     name, value, remark = of_scale.name, of_scale.value, of_scale.remark
     found = re.fullmatch(r"depth is ([\d.]+) ± [\d.]+ times as far as the poses say", value)
     assert found and float(found[1]) == pytest.approx(factor, rel=0.02)
-    assert (name, remark) == ("scale", "check the scale of the depth and the unit of the poses")
+    assert (name, remark) == (
+        "scale",
+        "check the scale of the depth, unit and scatter of the poses, and the principal point",
+    )
 
 
 def test_a_scale_that_images_gave_is_not_doubted(room: tuple[Recording, Matches]) -> None:
