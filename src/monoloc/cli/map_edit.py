@@ -286,7 +286,7 @@ def log_command(context: typer.Context, json: JsonOption = False) -> None:
         return
     for number, each in enumerate(edits):
         values = {**each["parameters"], **readable(each["changes"])}
-        described = "; ".join(f"{name} {text_of(value)}" for name, value in values.items())
+        described = "; ".join(f"{name} {text_of(value)}" for name, value in values.items()).replace("\n", ", ")
         typer.echo(f"{number + 1}  {each['time']}  {each['kind']}: {described}")
     if not edits:
         stderr.print(f"{path}: the map is as it was built", soft_wrap=True)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from monoloc.builder.bias import localizer_factory, measure_bias_at_reference
 from monoloc.builder.build_config import BuildConfig
@@ -19,6 +20,7 @@ from monoloc.builder.checks import check_recording
 from monoloc.builder.frame_choice import spread_stretches
 from monoloc.builder.kept_depth import KeptDepth
 from monoloc.bundle import Bundle, Provenance, fingerprint
+from monoloc.camera import Camera
 from monoloc.editing.alignment import Alignment, align_bundle, align_recording, known, poses_by_landmarks
 from monoloc.editing.depth_comparison import check_depth_scale
 from monoloc.editing.edits import finish
@@ -89,7 +91,7 @@ def extend(
     if bundle.provenance.tune != "none":
         edited = _with_bias_of(edited, recording, poses)
         measured["bias_sd_m"] = round(edited.settings.particle_bias.sd_at_reference_m, 4)
-    measured |= {"unknown_points": len(unknown), "points": len(cloud)}
+    measured |= {"unknown_points": len(unknown), "points": len(cloud)} | _other_camera(bundle, recording.camera)
     return finish(bundle, edited, "extend", parameters, None, rng, **measured)
 
 
@@ -162,8 +164,13 @@ def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], 
         ),
     )
     measured: dict[str, Any] = {"agreeing_landmarks": alignment.agreeing, **_described(alignment)}
-    measured |= {"same_network": is_same_network, "new_components": len(new)}
+    measured |= {"same_network": is_same_network, "new_components": len(new)} | _other_camera(bundle, other.camera)
     return finish(bundle, edited, "merge", parameters, None, rng, **measured)
+
+
+def _other_camera(bundle: Bundle, camera: Camera) -> dict[str, Any]:
+    """The camera behind the new reference poses, where it is another one: how wide it saw tells what is free."""
+    return {} if camera == bundle.camera else {"camera": TypeAdapter(Camera).dump_python(camera, mode="json")}
 
 
 class _KnownRegion:

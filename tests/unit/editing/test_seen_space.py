@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -43,6 +43,20 @@ def test_what_a_removed_object_hid_is_free_only_after_a_recording_without_it() -
     again = ReferencePoses.without_bias(np.concatenate([room.reference_poses.poses] * 2))
     extended = finish(removed, replace(removed, reference_poses=again), "extend", {}, None, rng())
     assert (states_at(extended, behind_the_cube()) == FREE).mean() > 0.5
+
+
+def test_a_recording_by_a_narrower_camera_saw_less() -> None:
+    """Else, the map would call free what no image has shown."""
+    room = mapped_room()
+    camera = replace(room.camera, fx=8.0 * room.camera.fx, fy=8.0 * room.camera.fy)
+    again = ReferencePoses.without_bias(np.concatenate([room.reference_poses.poses] * 2))
+    bare = remove(room, CUBE, {}, rng())
+    extended = replace(bare, reference_poses=again)
+    wide, narrow = (
+        states_at(finish(bare, extended, "extend", {}, None, rng(), **by), behind_the_cube()) == FREE
+        for by in ({}, {"camera": asdict(camera)})
+    )
+    assert wide.any() and not narrow.any()
 
 
 def test_an_added_object_hides_what_is_behind_it() -> None:
