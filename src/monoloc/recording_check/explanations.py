@@ -34,6 +34,8 @@ _TIE = 1.15  # hypotheses within this factor of the best are equal, and the simp
 _EXACT_POSES = 0.05  # smaller errors are equal too
 
 _COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
+_NEAREST_M = 0.1  # median of a room's depth; no depth camera sees so near
+
 # Logarithm by which an estimated scale may differ from a common one that it is taken for: within its uncertainty.
 _LEAST_SAME, _SAME_SDS, _MOST_SAME = 0.04, 3.0, 0.1
 
@@ -77,7 +79,7 @@ def explain(evidence: Evidence, share: float) -> Explanation | None:
         (*exact, *_fitted(evidence)),
         (explanation for reading in readings for explanation in _exact(reading)),
         _in_another_scale(evidence),
-        (_by_hypothesis(evidence, hypothesis) for hypothesis in conventions(many=True)),
+        (_by_hypothesis(evidence, each) for each in conventions(many=True, with_units=_may_be_of_a_room(evidence))),
     )
     found = (_best(list(explanations), _IMPROVEMENT * share) for explanations in stages)
     return next((explanation for explanation in found if explanation is not None), None)
@@ -103,8 +105,18 @@ def _best(explanations: list[Explanation], most: float) -> Explanation | None:
 def _exact(evidence: Evidence, whole_frames: bool = True) -> Iterator[Explanation]:
     """Explanations without unknown numbers, by one reading of the depth, with or without delays."""
     with_delays = whole_frames and evidence.recording.has_depth
-    for hypothesis in (*conventions(), *(delays() if with_delays else ())):
+    named = conventions(with_units=_may_be_of_a_room(evidence))
+    for hypothesis in (*named, *(delays() if with_delays else ())):
         yield _by_hypothesis(evidence, hypothesis)
+
+
+def _may_be_of_a_room(evidence: Evidence) -> bool:
+    """Whether depth is as far as a sensor sees; if it is nearer, it is the depth that has another unit."""
+    if not evidence.recording.has_depth:
+        return True
+    depth_m = evidence.depth_m(evidence.poses)
+    known_m = depth_m[depth_m > 0.0]
+    return len(known_m) == 0 or float(np.median(known_m)) > _NEAREST_M
 
 
 def small_delay(evidence: Evidence) -> tuple[str, str] | None:

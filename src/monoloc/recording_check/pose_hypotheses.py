@@ -77,10 +77,11 @@ def readings() -> Iterator[Reading]:
         yield Reading((name,), (convention,))
 
 
-def conventions(many: bool = False) -> Iterator[Hypothesis]:
+def conventions(many: bool = False, with_units: bool = True) -> Iterator[Hypothesis]:
     """Single conventions and pairs of them, or three and more at once, in the order in which they are undone."""
     for reading in readings():
-        if reading.names[0] not in POSITIONS and (len(reading.names) > _FEW) == many:
+        is_of_unit = reading.names[-1] in UNITS
+        if reading.names[0] not in POSITIONS and (len(reading.names) > _FEW) == many and with_units >= is_of_unit:
             yield _by_reading(reading)
 
 

@@ -177,8 +177,9 @@ def test_poses_that_go_on_in_another_world_give_a_warning_that_names_the_frame(
     assert check_poses(Selection(wrong, range(30))).jumps == ()
 
 
-@pytest.mark.parametrize("factor", [0.2, 1.4, 5.0, 1000.0])
+@pytest.mark.parametrize("factor", [0.001, 0.2, 1.4, 5.0, 1000.0])
 def test_depth_of_another_scale_is_named(room: tuple[Recording, Matches], factor: float) -> None:
+    """Metres that are read as millimetres too, which positions in millimetres would fit as well."""
     recording, matches = room
     line = refusal(checked(Altered(recording, depth=lambda depth: depth * factor), matches))
     found = re.fullmatch(
