@@ -13,7 +13,7 @@ from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import AXES
 from monoloc.io.recording import Recording, selected_from
 from monoloc.io.stray_scanner import StrayScannerRecording
-from monoloc.io.upright import Turned
+from monoloc.io.upright import Turned, quarter_turns_of
 from monoloc.recording_check.evidence import Evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
 from monoloc.recording_check.pose_delay import find_small_delay, fit_delay
@@ -174,7 +174,7 @@ def _fitted(evidence: Evidence) -> Iterator[Explanation]:
     resized = _resized(evidence.recording.camera, size.value)
     if resized is not None:
         what = f"intrinsics of images {_digits(1.0 / size.value)} times as large{_sd_words(size)}"
-        yield Explanation(what, f"--camera {_intrinsics_text(resized)}", 3, size.fit.median)
+        yield Explanation(what, f"--camera {_intrinsics_text(evidence, resized)}", 3, size.fit.median)
 
 
 def _by_reading(reading: Evidence) -> Explanation:
@@ -221,15 +221,19 @@ def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
         f"a focal length of {focal.value * camera.focal_px:.0f} px{_sd_words(focal)} instead of {camera.focal_px:.0f}"
     )
     is_other_lens = evidence.matches.camera.distortion != camera.distortion
-    return what, f"--camera {_intrinsics_text(camera, focal.value)}{',0,0,0,0,0' * is_other_lens}"
+    return what, f"--camera {_intrinsics_text(evidence, camera, focal.value)}{',0,0,0,0,0' * is_other_lens}"
 
 
 def _sd_words(factor: Factor) -> str:
     return f" (to {in_percent(factor.log_sd)})" if np.isfinite(factor.log_sd) else ""
 
 
-def _intrinsics_text(camera: Camera, factor: float = 1.0) -> str:
-    """Value of ``--camera`` for a camera with its focal lengths multiplied by a factor, without its distortion."""
+def _intrinsics_text(evidence: Evidence, camera: Camera, factor: float = 1.0) -> str:
+    """Value of ``--camera`` for a camera with its focal lengths multiplied by a factor, without its distortion.
+
+    It is that of the stored images, before these were turned upright.
+    """
+    camera = camera.turned(-quarter_turns_of(evidence.recording))
     values = [camera.width, camera.height, camera.fx * factor, camera.fy * factor, camera.cx, camera.cy]
     return ",".join(f"{value:.5g}" for value in values)
 

@@ -31,6 +31,7 @@ from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.pose_fixes import parse_pose_fixes
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording
+from monoloc.io.upright import Turned
 from monoloc.recording_check.correspondences import Matches
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.explanations import small_delay
@@ -219,6 +220,15 @@ def test_intrinsics_of_another_image_size_are_named(room: tuple[Recording, Match
     assert found, line
     assert float(found[1]) == pytest.approx(factor, rel=0.06)
     named = [float(value) for value in found[2].split(",")]
+    assert named == pytest.approx([right.width, right.height, right.fx, right.fy, right.cx, right.cy], rel=0.06)
+
+
+def test_named_intrinsics_are_those_of_the_stored_images(room: tuple[Recording, Matches]) -> None:
+    """Of a phone in portrait, before the images are turned upright: --camera is of these."""
+    right = room[0].camera
+    wrong = Altered(room[0], camera=with_focal(right, 1.3))
+    line = refusal(check_poses(Turned(wrong, 1)))
+    named = [float(value) for value in line.partition("give --camera ")[2].split(",")]
     assert named == pytest.approx([right.width, right.height, right.fx, right.fy, right.cx, right.cy], rel=0.06)
 
 
