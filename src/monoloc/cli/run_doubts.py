@@ -10,6 +10,7 @@ from monoloc.bundle import Bundle
 from monoloc.cli.pose_warning import other_reading
 from monoloc.evaluation.consistency import consistency
 from monoloc.io.corrected import without_pose_fix
+from monoloc.io.upright import T_turned_stored
 from monoloc.run import Run
 from monoloc.supervision.state import VOUCHED_FOR, Reason
 
@@ -47,7 +48,8 @@ def _of_errors(run: Run, metrics: Mapping[str, object]) -> Iterator[str]:
     is_as_stored = without_pose_fix(run.recording) is None
     if run.truth is not None and is_as_stored and (silent or is_poor):
         tracked = np.flatnonzero([state in VOUCHED_FOR for state in run.states])
-        other = other_reading(run.poses[tracked], run.truth[tracked]) if len(tracked) else None
+        T = T_turned_stored(run.recording)  # --fix-poses is of the stored poses
+        other = other_reading(run.poses[tracked] @ T, run.truth[tracked] @ T) if len(tracked) else None
         if other is not None:
             yield other
             return

@@ -69,6 +69,11 @@ def quarter_turns_of(recording: Recording) -> int:
     return source.quarter_turns if isinstance(source, Turned) else 0
 
 
+def T_turned_stored(recording: Recording) -> FloatArray:
+    """Pose of the camera of the stored images in the frame of that of the recording's images, (4, 4)."""
+    return T_camera_turned(-quarter_turns_of(recording))
+
+
 def is_upright(recording: Recording) -> bool:
     """Whether the images stand upright, as they are or as they were turned when they were read.
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, invert
 from monoloc.io.corrected import (
     given_depth_fix,
     is_seven_scenes,
@@ -17,10 +17,11 @@ from monoloc.io.corrected import (
     without_depth_fix,
     without_pose_fix,
 )
-from monoloc.io.pose_fixes import CONVENTIONS
+from monoloc.io.pose_fixes import CONVENTIONS, PoseFix
 from monoloc.io.poses_between_frames import frames_after, poses_after
 from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
+from monoloc.io.upright import T_turned_stored
 from monoloc.map.cloud import voxel_thin
 from monoloc.map.depth_rendering import map_depth
 from monoloc.recording_check.correspondences import PAIRS, Matches, match_corners
@@ -93,6 +94,11 @@ class Evidence:
         """The fix of the depth that was asked for, and the same corners with depth as stored; None if none was."""
         given = without_depth_fix(self.recording)
         return None if given is None else (given[0], self.of(given[1], self.matches))
+
+    def converted(self, convert: PoseFix) -> FloatArray:
+        """Poses of the recording, (N, 4, 4), where those of the stored images, not turned upright, are converted."""
+        T = T_turned_stored(self.recording)
+        return convert(self.poses @ T) @ invert(T)
 
     def relative(self, poses: FloatArray) -> FloatArray:
         """``T_second_first`` of the pairs, (N, 4, 4), from poses of the recording's frames."""

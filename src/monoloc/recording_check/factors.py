@@ -53,9 +53,9 @@ def fit_depth_scale(evidence: Evidence, convert: Callable[[FloatArray], FloatArr
 
     Args:
         evidence: with sensor depth.
-        convert: applied to the poses first.
+        convert: applied to the stored poses first.
     """
-    relative = evidence.relative(evidence.poses if convert is None else convert(evidence.poses))
+    relative = evidence.relative(evidence.poses if convert is None else evidence.converted(convert))
     depth_m = evidence.depth_m(evidence.poses)
 
     def measure(log_factor: float) -> Reprojection:

@@ -10,6 +10,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray, rotation_angle
 from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.io.upright import T_turned_stored
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.recording_check.pose_hypotheses import Reading
 from monoloc.recording_check.world_agreement import LEAST_FRAMES, agreeing_reading, common_transform
@@ -87,5 +88,6 @@ def compare_with_map(bundle: Bundle, recording: Recording) -> MapAgreement:
     T_map_camera = np.stack([place.pose for _, place in found])
     T_world_camera = recording.poses[[index for index, _ in found]]
     agreeing, T_map_world = common_transform(T_map_camera, T_world_camera)
-    reading = agreeing_reading(T_map_camera, T_world_camera)
+    T = T_turned_stored(recording)  # a reading is of the stored poses
+    reading = agreeing_reading(T_map_camera @ T, T_world_camera @ T)
     return MapAgreement(len(chosen), len(found), agreeing, T_map_world, focal, aspect, reading)

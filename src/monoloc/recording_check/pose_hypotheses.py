@@ -94,7 +94,7 @@ def positions() -> Iterator[Hypothesis]:
 
 def _by_reading(reading: Reading) -> Hypothesis:
     def measure(evidence: Evidence) -> Reprojection:
-        poses = reading.convert(evidence.poses)
+        poses = evidence.converted(reading.convert)
         return evidence.reproject(evidence.relative(poses), evidence.depth_m(poses))
 
     parts = 2 if reading.names[0] in POSITIONS else len(reading.names)  # of equals, a convention is the simpler one

@@ -59,6 +59,15 @@ def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, 
         np.testing.assert_allclose(fixes.convert(altered), recording.poses, atol=1e-6)
 
 
+def test_another_convention_is_that_of_the_stored_poses(room: tuple[Recording, Matches]) -> None:
+    """A phone in portrait, whose images gravity turned upright: --fix-poses is of the poses before that."""
+    recording = room[0]
+    assert recording.poses is not None
+    for name in ("OpenGL", "world-to-camera"):
+        stored = Altered(recording, poses=POSES[name].poses(recording.poses))
+        assert refusal(check_poses(Turned(stored, 1))).endswith(f"; give {POSES[name].option}")
+
+
 def late_by(delay_s: float) -> FloatArray:
     """Poses of the room's path, each that of a time before its frame."""
     frames = np.arange(60) / FRAME_RATE_HZ - delay_s
