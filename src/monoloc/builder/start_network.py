@@ -18,8 +18,7 @@ from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import training_extra
 from monoloc.io.recording import Recording, check_arrays
-
-_MIN_FRAMES = 5
+from monoloc.recording_check.inspection import LEAST_FRAMES_OF_A_BUILD
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,9 @@ def checked_network(recording: Recording, config: BuildConfig, network: str | Pa
     """
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
-    if len(recording) < _MIN_FRAMES:
-        raise DataError(
-            recording.name, f"has too few frames ({len(recording)})", f"build from at least {_MIN_FRAMES}"
-        )
+    if len(recording) < LEAST_FRAMES_OF_A_BUILD:
+        fix = f"build from at least {LEAST_FRAMES_OF_A_BUILD}"
+        raise DataError(recording.name, f"has too few frames ({len(recording)})", fix)
     check_arrays(recording)
     if config.refine_poses:
         check_refinable(recording)

@@ -30,6 +30,8 @@ from monoloc.recording_check.world_agreement import AGREEING_SHARE
 
 Level = Literal["good", "warning", "bad"]
 
+LEAST_FRAMES_OF_A_BUILD = 5
+
 _BLURRED_SHARE = 0.2  # of the images
 # Brightness to the build's, beyond its own spread. RedKitchen and the desk, untuned, darkened and brightened with a
 # sensor's noise: tracking as before down to 0.1, with some frames lost at 0.08; at 1.8, up to 27 % map-changed.
@@ -128,7 +130,7 @@ def inspect_recording(
     # A wrong focal length or convention also shifts edges and displaces landmarks: poses have the first word.
     is_explained = poses is not None and poses.verdict == "explained"
     findings = [
-        *_of_frames(recording, times),
+        *_of_frames(recording, times, is_for_a_build=bundle is None),
         *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
         *_warned("upright", ON_THEIR_SIDE if walk_lies_on_side(recording) else None, STAND_UPRIGHT),
@@ -150,9 +152,13 @@ def inspect_recording(
     return Inspection(recording, findings, times, images, motion, depth, poses, evidence, agreement)
 
 
-def _of_frames(recording: Recording, times: TimeCheck) -> Iterator[Finding]:
+def _of_frames(recording: Recording, times: TimeCheck, is_for_a_build: bool) -> Iterator[Finding]:
     doubts = [note for note in getattr(selected_from(recording), "notes", []) if not isinstance(note, Remark)]
-    yield Finding("frames", "warning" if doubts else "good", f"{times.frames}", "; ".join(doubts))
+    level: Level = "warning" if doubts else "good"
+    if is_for_a_build and times.frames < LEAST_FRAMES_OF_A_BUILD:
+        level = "bad"
+        doubts.append(f"too few; a build needs at least {LEAST_FRAMES_OF_A_BUILD}")
+    yield Finding("frames", level, f"{times.frames}", "; ".join(doubts))
     if times.rate_hz is None:
         return
     value = f"{times.duration_s:.1f} s, {times.rate_words}"

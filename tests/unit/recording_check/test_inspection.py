@@ -28,12 +28,17 @@ def test_principal_point_far_from_the_centre_gives_a_warning(is_exchanged: bool)
 
 
 def test_notes_warn_only_where_something_is_left_out_or_assumed() -> None:
-    recording = Noted(RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    recording = Noted(RoomRecording(Room(), make_path(5), SMALL_CAMERA))
     recording.notes = [Remark("colour is /cam/color/image_raw")]
-    assert inspect_recording(recording).findings[0] == Finding("frames", "good", "2")
-    recording.notes.append("1 of 3 frames are left out: 1 without depth")
-    expected = Finding("frames", "warning", "2", "1 of 3 frames are left out: 1 without depth")
+    assert inspect_recording(recording).findings[0] == Finding("frames", "good", "5")
+    recording.notes.append("1 of 6 frames are left out: 1 without depth")
+    expected = Finding("frames", "warning", "5", "1 of 6 frames are left out: 1 without depth")
     assert inspect_recording(recording).findings[0] == expected
+
+
+def test_fewer_frames_than_a_build_takes_are_bad() -> None:
+    found = inspect_recording(RoomRecording(Room(), make_path(4), SMALL_CAMERA)).findings[0]
+    assert found == Finding("frames", "bad", "4", "too few; a build needs at least 5")
 
 
 def test_walk_with_images_on_their_side_gives_a_warning() -> None:
