@@ -114,7 +114,7 @@ def _read_columns(path: Path, _: list[str]) -> FloatArray:
     with path.open("rb") as file:
         start = file.readline()
         first = start.decode("utf-8-sig", errors="replace")
-        titles = first.lower().lstrip("#/ ")
+        titles = first.lower().lstrip("#/ ").replace('"', "")
         names = [(title.split() or [""])[0] for title in titles.strip().split(_separator(titles))]
         if not {"x", "y", "z"} <= set(names):
             file.seek(len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0)

@@ -177,10 +177,11 @@ def test_xyz_takes_the_first_three_columns(tmp_path: Path, suffix: str) -> None:
         ("a.xyz", "{0}, {1}, {2}\n"),
         ("a.csv", "Point ID;x [m];y [m];z [m];\n9;{0};{1};{2};\n"),
         ("a.csv", "id,x,y,z\n,{0},{1},{2}\n"),
+        ("a.csv", '"","x","y","z"\n"9",{0},{1},{2}\n'),
     ],
 )
 def test_commas_and_headers(tmp_path: Path, name: str, text: str) -> None:
-    """As spreadsheets and CloudCompare write them."""
+    """As spreadsheets, CloudCompare and R write them."""
     *header, row = text.splitlines(keepends=True)
     (tmp_path / name).write_text("".join([*header, *(row.format(*point) for point in POINTS)]))
     np.testing.assert_array_equal(read_cloud(tmp_path / name), POINTS)
