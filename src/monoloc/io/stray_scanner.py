@@ -115,7 +115,7 @@ class StrayScannerRecording:
         """See :meth:`monoloc.io.recording.Recording.color`."""
         number = int(self._numbers[index])
         if number not in self._kept:
-            image = self._checked(self._video.read(number))
+            image = self._checked(self._video.read(number, self._numbers))
             if self._resampler is not None:
                 image = self._resampler.color(index, image)
             bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)

@@ -59,8 +59,12 @@ class VideoFrames:
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         return self.stated_count / rate_hz if rate_hz > 0.0 else 0.0
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int, numbers: NDArray[np.int64] | None = None) -> NDArray[np.uint8]:
         """Frame ``index`` >= 0: (height, width, 3) uint8, RGB.
+
+        Args:
+            index: number of the frame in the file.
+            numbers: those of the recording's frames, ascending; None if it has all.
 
         Raises:
             DataError: the frame cannot be decoded.
@@ -71,10 +75,11 @@ class VideoFrames:
             self._next += 1
         bgr = self._capture.read()[1] if self._next == index else None
         if bgr is None:
+            usable = self._next if numbers is None else int(np.searchsorted(numbers, self._next))
             raise DataError(
                 self.path,
                 f"cannot be decoded after frame {self._next - 1}",
-                f"use --frames 0:{self._next}, or convert the video again",
+                f"use --frames 0:{usable}, or convert the video again",
             )
         self._next += 1
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from capture_writers import (
     write_stray_scanner,
 )
 from monoloc.camera import Camera
+from monoloc.errors import DataError
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
 from monoloc.io.stray_scanner import NO_CONFIDENCE
@@ -178,6 +180,21 @@ def test_missing_or_short_files_are_refused(folder: Path) -> None:
     refuses_to_open(folder, matrix, "camera.fx/fy: is", "positive")
     matrix.unlink()
     refuses_to_open(folder, matrix, "is missing", "with all its files")
+
+
+def test_damaged_video_names_the_frames_that_can_be_used(folder: Path) -> None:
+    """By their positions in the recording, which leaves the first frame of the video out."""
+    video = folder / "rgb.mp4"
+    content = video.read_bytes()
+    index = content.index(b"moov") - 4
+    video.write_bytes(content[: index // 2] + bytes(index - index // 2) + content[index:])
+    (folder / "depth/000000.png").unlink()
+    recording = open_recording(str(folder))
+    with pytest.raises(DataError) as raised:
+        recording.color(len(recording) - 1)
+    named = re.search(r"cannot be decoded after frame (\d+); use --frames 0:(\d+),", str(raised.value))
+    assert named and int(named[2]) == int(named[1]) > 0
+    recording.color(int(named[2]) - 1)
 
 
 def test_folder_without_common_frames_is_refused(folder: Path) -> None:
