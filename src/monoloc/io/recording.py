@@ -58,14 +58,21 @@ class Recording(Protocol):
 
 
 def check_arrays(recording: Recording) -> None:
-    """Check that the arrays of a recording belong together; those of the readers do.
+    """Check that the arrays of a recording belong together, and its first images to its camera.
+
+    Those of the readers do; a recording of a user's own may hold anything.
 
     Raises:
-        ValueError: names, time stamps or poses are not one a frame, time runs backwards, or a pose is not rigid.
+        ValueError: names, time stamps or poses are not one a frame or of another type, time runs backwards, a pose is
+            not rigid, or the first frame's image or depth does not have the camera's size or the type of
+            :class:`Recording`.
+        DataError: the first frame cannot be read.
     """
     count, poses = len(recording), recording.poses
-    if len(recording.frame_names) != count:
-        raise ValueError(f"frame_names must be {count}, one a frame, got {len(recording.frame_names)}")
+    _check_frame_names(recording.frame_names, count)
+    for name, values in (("timestamps_s", recording.timestamps_s), ("poses", poses)):
+        if not (values is None or isinstance(values, np.ndarray)):
+            raise ValueError(f"{name} must be an array, got {type(values).__name__}; write np.array({name})")
     times_s = np.asarray(recording.timestamps_s)
     if times_s.shape != (count,):
         raise ValueError(f"timestamps_s must have shape ({count},), got {times_s.shape}")
@@ -75,6 +82,29 @@ def check_arrays(recording: Recording) -> None:
         raise ValueError(f"poses must have shape ({count}, 4, 4), got {np.shape(poses)}")
     if poses is not None and not np.all(is_rigid(poses)):
         raise ValueError("poses must be rigid, T_world_camera")
+    _check_first_frame(recording)
+
+
+def _check_frame_names(names: Indexable[str], count: int) -> None:
+    if len(names) != count:
+        raise ValueError(f"frame_names must be {count}, one a frame, got {len(names)}")
+    for name in names:
+        if not isinstance(name, str):
+            raise ValueError(f"frame_names must be strings, got {type(name).__name__}")
+
+
+def _check_first_frame(recording: Recording) -> None:
+    size = (recording.camera.height, recording.camera.width)
+    color = np.asarray(recording.color(0))
+    if color.shape != (*size, 3) or color.dtype != np.uint8:
+        got = f"{color.shape} {color.dtype}"
+        raise ValueError(f"color must have the camera's shape {(*size, 3)} as uint8, RGB, got {got}")
+    if not recording.has_depth:
+        return
+    depth_m = np.asarray(recording.depth(0))
+    if depth_m.shape != size or depth_m.dtype.kind != "f":
+        got = f"{depth_m.shape} {depth_m.dtype}"
+        raise ValueError(f"depth must have the camera's shape {size} as float32, metres, got {got}")
 
 
 class Remark(str):
