@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
@@ -38,4 +38,4 @@ class Edit:
     """
 
     record: EditRecord
-    undo: bytes
+    undo: bytes = field(repr=False)

@@ -153,6 +153,12 @@ def test_bundle_is_read_as_written(written):
     np.testing.assert_array_equal(bundle.landmarks.descriptors, expected.landmarks.descriptors)
 
 
+def test_bundle_at_the_end_of_a_notebook_cell_is_not_printed_with_the_bytes_of_its_files():
+    record = EditRecord(time="", kind="remove", parameters={}, changes={})
+    printed = repr(replace(make_bundle(), edits=(Edit(record, b"undo"),)))
+    assert "DepthModel(spec=" in printed and "b'" not in printed
+
+
 def test_camera_of_any_lens_is_read_as_written_and_one_without_a_model_is_browns(written):
     lens = Camera(640, 480, 330.0, 331.0, 320.0, 240.0, (-0.01, 0.01, -0.006, 0.001), "fisheye")
     write_bundle(written, replace(make_bundle(), camera=lens))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -137,7 +137,7 @@ class DepthModel:
         name: display name.
     """
 
-    content: bytes
+    content: bytes = field(repr=False)  # megabytes, which a notebook would print
     spec: ModelSpec
     name: str = "depth.onnx"
 
