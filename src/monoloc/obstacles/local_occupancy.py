@@ -80,7 +80,13 @@ class Surroundings:
         Args:
             half_width_m: of the vehicle and what it keeps clear beside it.
             azimuth_rad: direction, clockwise from the heading as seen from above.
+
+        Raises:
+            ValueError: either is no number, or the half-width is negative.
         """
+        if not (np.isfinite(azimuth_rad) and np.isfinite(half_width_m) and half_width_m >= 0.0):
+            got = f"{half_width_m} and {azimuth_rad}"
+            raise ValueError(f"half_width_m must be 0 or more and azimuth_rad a number, got {got}")
         sectors = np.flatnonzero(np.isfinite(self.distances_m))
         known_m, turned = self.distances_m[sectors], SECTOR_RAD * sectors - azimuth_rad
         along_m = known_m * np.cos(turned)

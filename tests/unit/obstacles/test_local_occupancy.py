@@ -105,3 +105,9 @@ def test_bound_is_two_standard_deviations_nearer_and_the_unknown_is_not_free() -
     narrow = around({sector % 72: np.nan for sector in range(4, 69)})
     assert narrow.free_ahead(0.2).distance_m == MOST_M and narrow.free_ahead(0.4).distance_m == 0.0
     assert around(dict.fromkeys(range(5, 68), np.nan)).free_ahead(0.4).distance_m == MOST_M
+
+
+@pytest.mark.parametrize("way", [(0.3, np.nan), (np.nan, 0.0), (0.3, np.inf), (-0.3, 0.0)])
+def test_way_that_is_none_is_refused_and_not_free(way: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="half_width_m must be 0 or more and azimuth_rad a number, got "):
+        around(dict.fromkeys(range(72), 1.0)).free_ahead(*way)
