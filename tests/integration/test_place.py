@@ -7,6 +7,7 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -136,6 +137,13 @@ def test_a_room_beyond_a_door_that_cannot_be_read_takes_no_pose_from_the_room_be
     assert {(step.room, step.state) for step in steps} == {(LEFT, "tracking")} and asked == [LEFT, RIGHT]
     with pytest.raises(BundleError):
         PlaceLocalizer(place, CAMERA, RIGHT)
+
+
+def test_path_in_place_of_a_place_and_numbers_in_place_of_a_camera_are_refused(place: Place) -> None:
+    with pytest.raises(TypeError, match=r"^place must be a Place, as read_place\(PATH\) gives it, got PosixPath$"):
+        PlaceLocalizer(cast(Any, place.path), CAMERA)
+    with pytest.raises(TypeError, match=r"^camera must be a monoloc\.Camera, got tuple$"):
+        PlaceLocalizer(place, cast(Any, (640, 480, 525.0, 525.0, 319.5, 239.5)))
 
 
 def test_a_room_that_cannot_be_read_does_not_end_a_flight_that_is_tracking_in_another(

@@ -102,6 +102,7 @@ class PlaceLocalizer:
         BundleError: the room's bundle is missing, damaged or changed.
         SettingError: ``budget_ms`` or ``threads`` is out of range; with no room to start in, :meth:`step` raises it.
         ValueError: the place has no such room, or a start is given without a room.
+        TypeError: an argument has the wrong type, such as a path for the place.
     """
 
     def __init__(
@@ -115,6 +116,10 @@ class PlaceLocalizer:
         budget_ms: float | None = None,
         threads: int | None = None,
     ) -> None:
+        if not isinstance(place, Place):  # a path, for which the error would come from deep inside
+            raise TypeError(f"place must be a Place, as read_place(PATH) gives it, got {type(place).__name__}")
+        if not isinstance(camera, Camera):
+            raise TypeError(f"camera must be a monoloc.Camera, got {type(camera).__name__}")
         if room is None and start is not None:
             raise ValueError("start needs a room")
         if room is not None and room not in place.names:
