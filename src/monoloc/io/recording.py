@@ -82,7 +82,8 @@ def check_arrays(recording: Recording) -> None:
         raise ValueError(f"poses must have shape ({count}, 4, 4), got {np.shape(poses)}")
     if poses is not None and not np.all(is_rigid(poses)):
         raise ValueError("poses must be rigid, T_world_camera")
-    _check_first_frame(recording)
+    if count > 0:
+        _check_first_frame(recording)
 
 
 def _check_frame_names(names: Indexable[str], count: int) -> None:
