@@ -51,6 +51,7 @@ class PoseCheck:
             translation; None if unknown.
         explanation: what the poses would agree as; None if nothing is found, or nothing is wrong.
         jumps: steps of poses that agree otherwise, which the images contradict.
+        cloud_is_unseen: whether corners move, and nearly none lies on the cloud that was given.
     """
 
     verdict: Literal["unknown", "agree", "doubtful", "explained", "disagree"]
@@ -61,6 +62,7 @@ class PoseCheck:
     correlation: float | None = None
     explanation: Explanation | None = None
     jumps: tuple[PoseJump, ...] = ()
+    cloud_is_unseen: bool = False
 
     @property
     def jump_sentence(self) -> str | None:
@@ -82,6 +84,9 @@ class PoseCheck:
                 found = f"by the poses, {self.pairs} pairs of frames see the cloud"
                 away = f"{in_percent(self.explanation.share)} of their motion away from where they are seen"
                 return f"{found}; corners land {away} as {self.explanation.what}"
+            if self.cloud_is_unseen:
+                seen = f"by them, {self.pairs} pairs of frames see the cloud"
+                return f"poses are not compared with the images: {seen}; give poses and cloud in one frame, in metres"
             seen = f"{self.pairs} pairs of frames show corners that move and whose depth is known"
             return f"poses are not compared with the images: {seen}"
         of = "" if self.share >= MANY_TIMES else " of"  # "66 times their motion"
@@ -132,7 +137,10 @@ def check_matches(evidence: Evidence) -> PoseCheck:
     corners = len(evidence.matches.pair)
     if stated.pairs < LEAST_PAIRS and not _enough_otherwise(evidence):
         explanation = explain_unseen_cloud(evidence)
-        return PoseCheck("explained" if explanation else "unknown", stated.pairs, corners, explanation=explanation)
+        if explanation is not None:
+            return PoseCheck("explained", stated.pairs, corners, explanation=explanation)
+        cloud_is_unseen = not evidence.recording.has_depth and len(evidence.matches) >= LEAST_PAIRS
+        return PoseCheck("unknown", stated.pairs, corners, cloud_is_unseen=cloud_is_unseen)
     share = stated.median
     depth_m = evidence.depth_m(evidence.poses)
     free_motion = evidence.reproject.free_motion(depth_m)
@@ -188,6 +196,8 @@ def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool, if_p
         raise DataError(name, f"poses and images disagree: {check.sentence}", check.fix)
     if check.verdict in ("doubtful", "disagree") and not poses_are_refined:
         return [f"poses fit the images poorly: {check.sentence}; {if_poor}"]
+    if check.cloud_is_unseen:
+        return [check.sentence]
     if check.verdict == "unknown":
         return [f"{check.sentence}; a wrong convention would not be noticed, so give more frames, closer together"]
     return [] if check.jump_sentence is None else [check.jump_sentence]

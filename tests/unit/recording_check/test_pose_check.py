@@ -304,6 +304,13 @@ def test_poses_that_see_nothing_of_the_cloud_are_named(room: tuple[Recording, Ma
         require_agreement("walk", inspection.poses, poses_are_refined=False)
 
 
+def test_cloud_in_another_frame_is_not_to_be_mended_by_more_frames(room: tuple[Recording, Matches]) -> None:
+    recording = Altered(room[0], has_depth=False)
+    check = compare_poses(recording, Room().cloud(0.04) + np.array([50.0, 0.0, 0.0]))[0]
+    (warning,) = require_agreement("walk", check, poses_are_refined=False)
+    assert warning.endswith(" 0 pairs of frames see the cloud; give poses and cloud in one frame, in metres")
+
+
 def test_delay_counts_frames_of_the_whole_recording() -> None:
     """Where every third frame is selected, poses late by two frames are no whole number of selected frames late."""
     recording = RoomRecording(Room(), turning_path(90), SMALL_CAMERA)
