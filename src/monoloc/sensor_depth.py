@@ -50,7 +50,11 @@ def sensor_bundle(bundle: Bundle) -> Bundle:
 
 
 def sparse_depth(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:
-    """Every fourth pixel of a sensor's image, (H, W) metres, not averaged, which would mix surfaces."""
+    """Every fourth pixel of a sensor's image, (H, W) metres, not averaged, which would mix surfaces.
+
+    Raises:
+        ValueError: as :class:`monoloc.depth.predictor.DepthPrediction`, such as for millimetres as whole numbers.
+    """
     offset = _STRIDE // 2
     sparse = np.ascontiguousarray(depth_m[offset::_STRIDE, offset::_STRIDE])
     return DepthPrediction(sparse, camera.sampled(offset, _STRIDE))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -38,6 +39,12 @@ def test_sparse_pixels_see_what_the_image_sees_there(camera: Camera) -> None:
     )
     np.testing.assert_array_equal(sparse.depth_m, depth_m[2::4, 2::4])
     np.testing.assert_allclose(sparse.camera.pixel_rays(), camera.pixel_rays()[2::4, 2::4], atol=1e-6)
+
+
+def test_millimetres_as_a_sensors_driver_gives_them_are_refused() -> None:
+    depth_mm = np.full((CAMERA.height, CAMERA.width), 1500, dtype=np.uint16)
+    with pytest.raises(ValueError, match=r"^depth_m must be float32, metres, got uint16; divide millimetres by"):
+        sparse_depth(cast(Any, depth_mm), CAMERA)
 
 
 def test_sensors_errors_are_small_and_everything_else_stays() -> None:

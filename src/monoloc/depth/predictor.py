@@ -37,7 +37,7 @@ class DepthPrediction:
             does not predict it.
 
     Raises:
-        ValueError: other shapes, negative depth, or values that are not finite where they are used.
+        ValueError: other shapes, whole numbers, negative depth, or values that are not finite where they are used.
     """
 
     depth_m: NDArray[np.float32]
@@ -49,6 +49,9 @@ class DepthPrediction:
         shapes = [self.depth_m.shape] if self.log_error is None else [self.depth_m.shape, self.log_error.shape]
         if any(each != shape for each in shapes):
             raise ValueError(f"depth_m and log_error must have the camera's shape {shape}, got {shapes}")
+        if self.depth_m.dtype.kind != "f":  # of a sensor, mostly in millimetres
+            got = self.depth_m.dtype
+            raise ValueError(f"depth_m must be float32, metres, got {got}; divide millimetres by np.float32(1000)")
         if not (np.isfinite(self.depth_m) & (self.depth_m >= 0.0)).all():
             raise ValueError("depth_m must be finite and not negative: 0 where there is none")
         if self.log_error is not None and not np.isfinite(self.log_error[self.depth_m > 0.0]).all():
