@@ -131,6 +131,16 @@ class Bundle:
         return down_of(self.original, down) if kept is None else np.asarray(kept)
 
 
+def require_bundle(bundle: object) -> None:
+    """Refuse what is no bundle: for a path, the error would come from deep inside.
+
+    Raises:
+        TypeError: it is a path, or anything else.
+    """
+    if not isinstance(bundle, Bundle):
+        raise TypeError(f"bundle must be a bundle, as monoloc.load(PATH) gives it, got {type(bundle).__name__}")
+
+
 def fingerprint(color: NDArray[np.uint8]) -> int:
     """Checksum of an image, which identifies a frame whatever its name."""
     return zlib.crc32(np.ascontiguousarray(color).tobytes())

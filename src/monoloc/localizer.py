@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.bundle import Bundle
+from monoloc.bundle import Bundle, require_bundle
 from monoloc.camera import Camera
 from monoloc.component_checks import checked_components, checked_measurement
 from monoloc.components import ComponentsFactory, default_components
@@ -71,8 +71,7 @@ class Localizer:
         components: ComponentsFactory = default_components,
         seed: int | np.random.Generator = 0,
     ) -> None:
-        if not isinstance(bundle, Bundle):  # a path, for which the error would come from deep inside
-            raise TypeError(f"bundle must be a bundle, as monoloc.load(PATH) gives it, got {type(bundle).__name__}")
+        require_bundle(bundle)
         if not isinstance(camera, Camera):
             raise TypeError(f"camera must be a monoloc.Camera, got {type(camera).__name__}")
         if config is not None and not isinstance(config, LocalizerConfig):

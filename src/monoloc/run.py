@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.bundle import Bundle, fingerprint
+from monoloc.bundle import Bundle, fingerprint, require_bundle
 from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.errors import DataError
@@ -19,7 +19,7 @@ from monoloc.evaluation.consistency import consistency
 from monoloc.evaluation.depth_metrics import DepthAccumulator
 from monoloc.evaluation.trajectory import summarise
 from monoloc.geometry import FloatArray, invert
-from monoloc.io.recording import Recording, Relight, check_arrays
+from monoloc.io.recording import Recording, Relight, check_arrays, require_recording
 from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion, tracks_translation
@@ -182,7 +182,10 @@ def localize(
         DataError: sensor depth is asked for and there is none, there are no frames, or one cannot be read.
         ValueError: as :class:`monoloc.localizer.Localizer` and :func:`monoloc.io.recording.check_arrays`, or ``down``
             or ``motions`` are not one a frame.
+        TypeError: the bundle or the recording is a path, or none.
     """
+    require_bundle(bundle)
+    require_recording(recording)
     if len(recording) == 0:
         raise DataError(recording.name, "gives no frames", "give a recording with at least one")
     check_arrays(recording)

@@ -12,13 +12,13 @@ from monoloc.builder.bias import localizer_factory, measure_bias_at_reference
 from monoloc.builder.relocalization_error import measure_relocalization_error
 from monoloc.builder.samples import Sample, depth_samples, scans_of
 from monoloc.builder.scan_evidence import measure_scan_evidence
-from monoloc.bundle import Bundle
+from monoloc.bundle import Bundle, require_bundle
 from monoloc.components import ComponentsFactory
 from monoloc.errors import DataError
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording, check_arrays
+from monoloc.io.recording import Recording, check_arrays, require_recording
 from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood, best_over_scales
 from monoloc.likelihood.scan import Scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -67,7 +67,10 @@ def calibrate(
         DataError: the recording has no poses or fewer than two frames, no frame's depth gives a scan, or depth is off
             by a factor beyond 1.5.
         ValueError: as :func:`monoloc.io.recording.check_arrays`.
+        TypeError: the bundle or the recording is a path, or none.
     """
+    require_bundle(bundle)
+    require_recording(recording)
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "calibrate on a recording with camera poses")
     if len(recording) < 2:

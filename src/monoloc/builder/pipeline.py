@@ -31,7 +31,7 @@ from monoloc.depth.models import DEFAULT
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording, recorded_down, scale_sd_of
+from monoloc.io.recording import Recording, recorded_down, require_recording, scale_sd_of
 from monoloc.io.upright import walk_lies_on_side
 from monoloc.likelihood import make_likelihood
 from monoloc.map.depth_rendering import supervision
@@ -63,13 +63,11 @@ def build_bundle(
         SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
         ValueError: as :func:`monoloc.io.recording.check_arrays`, or the cloud is not (N, 3) and finite.
-        TypeError: the recording is a path, or none.
+        TypeError: the recording is a path or none, or the settings are a dict.
     """
-    if not isinstance(recording, Recording):
-        raise TypeError(
-            f"recording must be a recording, as monoloc.io.registry.open_recording(SOURCE) gives it, "
-            f"got {type(recording).__name__}"
-        )
+    require_recording(recording)
+    if not isinstance(config, BuildConfig):
+        raise TypeError(f"config must be a BuildConfig, got {type(config).__name__}; write BuildConfig(NAME=VALUE)")
     started = time.perf_counter()
     start_network = checked_network(recording, config, network)
     chosen = KeptDepth(choose_frames(recording, config.most_frames, progress))

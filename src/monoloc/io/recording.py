@@ -57,6 +57,17 @@ class Recording(Protocol):
         ...
 
 
+def require_recording(recording: object) -> None:
+    """Refuse what is no recording.
+
+    Raises:
+        TypeError: it is a path, or anything else.
+    """
+    if not isinstance(recording, Recording):
+        way = "as monoloc.io.registry.open_recording(SOURCE) gives it"
+        raise TypeError(f"recording must be a recording, {way}, got {type(recording).__name__}")
+
+
 def check_arrays(recording: Recording) -> None:
     """Check that the arrays of a recording belong together, and its first images to its camera.
 

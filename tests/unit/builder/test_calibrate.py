@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from copy import copy
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -173,3 +174,17 @@ def test_recording_of_one_frame_is_refused(bundle: Bundle, components: Component
     single = RoomRecording(ROOM, make_path(1), SMALL_CAMERA)
     with pytest.raises(DataError, match="room: has fewer than 2 frames; calibrate on at least 2"):
         monoloc.calibrate(bundle, single, components)
+
+
+def test_paths_and_a_dict_of_settings_are_refused_by_name(bundle: Bundle, components: ComponentsFactory) -> None:
+    walk, rng, path = RoomRecording(ROOM, make_path(6), SMALL_CAMERA), np.random.default_rng(0), cast(Any, "a path")
+    with pytest.raises(TypeError, match=r"^bundle must be a bundle, as monoloc\.load\(PATH\) gives it, got str$"):
+        monoloc.calibrate(path, walk, components)
+    with pytest.raises(TypeError, match=r"^recording must be a recording, as .*open_recording.*, got str$"):
+        monoloc.calibrate(bundle, path, components)
+    with pytest.raises(TypeError, match=r"^bundle must be a bundle"):
+        localize(path, walk, None, rng, NoProgress())
+    with pytest.raises(TypeError, match=r"^recording must be a recording"):
+        localize(bundle, path, None, rng, NoProgress())
+    with pytest.raises(TypeError, match=r"^config must be a BuildConfig, got dict; write BuildConfig"):
+        monoloc.build_bundle(walk, cast(Any, {"components": 100}))
