@@ -49,6 +49,29 @@ def over_untuned(stretch: int) -> Interval:
     return interval_of([default[seed] / others[seed] for seed in others])
 
 
+FURTHER = table_of("further-recordings.csv")
+TURNING, TURNING_BEYOND, WALK, WALK_BEYOND = (
+    {"built_from": built_from, "flown": frames}
+    for built_from, frames in (
+        ("freiburg1/rpy 0:450:4", "0:450"),
+        ("freiburg1/rpy 0:450:4", "450:671"),
+        ("HoloLens walk 0:280:2", "0:280"),
+        ("HoloLens walk 0:280:2", "280:373"),
+    )
+)
+
+
+def further(method: str, stretch: Mapping[str, str]) -> Rows:
+    """Flights over a recording that nobody had looked at."""
+    return chosen(FURTHER, method=method, **stretch)
+
+
+def further_over(other: str, stretch: Mapping[str, str]) -> Interval:
+    """RMSE of the default over that of another method, build by build."""
+    default, others = (by_build(further(method, stretch), "rmse_cm") for method in ("default", other))
+    return interval_of([default[build] / others[build] for build in default])
+
+
 def papers_rmse_cm(ladder: Sequence[Mapping[str, Any]]) -> list[float]:
     """RMSE of the paper's method in each room and split of a ladder, medians over builds."""
     rows = [row for row in ladder if row["rung"] == "the paper's method"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import pytest
@@ -62,8 +63,8 @@ FAULTS_OF_ROW = {
 OF_LENS = ("intrinsics", "longer-lens", "stretched")  # first words of a fault of the lens
 
 
-def check_this_version(table: Table) -> None:
-    flights = table_of("this-version.csv")
+def check_flights(file: str, table: Table) -> None:
+    flights = table_of(file)
     assert len(table.rows) == len({(row["built_from"], row["flown"], row["method"]) for row in flights})
     for where, method, *shown in table.rows:
         built_from, flown = where.split(", ")
@@ -79,6 +80,16 @@ def check_this_version(table: Table) -> None:
                 [total(found, name) for name in ("silent_30cm", "silent_3_5_sigma", "frames")],
             ],
         )
+
+
+def check_keypoints(table: Table) -> None:
+    found = table_of("further-recordings-keypoints.csv")
+    assert len(table.rows) == len(found)
+    for where, keypoints, *shown in table.rows:
+        built_from, scored = where.split(", ")
+        row = only(found, keypoints=keypoints.lower(), scored=scored, built_from=built_from.split()[-1])
+        figures = [numbers(row, name) for name in ("megabytes", "median_cm", "rmse_cm", "rotation_median_deg")]
+        agree_all(shown, [*figures, numbers(row, "without_pose", "images")])
 
 
 def check_rendered_rooms(table: Table) -> None:
@@ -305,7 +316,9 @@ def check_second_walk(table: Table) -> None:
 
 
 CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
-    ("This version", 0): check_this_version,
+    ("This version", 0): partial(check_flights, "this-version.csv"),
+    ("Two recordings that nobody had looked at", 0): partial(check_flights, "further-recordings.csv"),
+    ("Two recordings that nobody had looked at", 1): check_keypoints,
     ("Two rendered rooms", 0): check_rendered_rooms,
     ("Other cameras", 0): check_other_cameras,
     ("Eight rendered rooms", 0): check_many_rooms,
