@@ -131,7 +131,9 @@ class EditDrawer:
             if LEAST_SHARE <= share <= MOST_SHARE and 2 * edit.holds(self._landmarks).sum() <= len(self._landmarks):
                 return edit
         raise DataError(
-            self._name, f"sees no part of the map that fills {LEAST_SHARE:.0%} of the view", "give other frames"
+            self._name,
+            f"sees no part of the map that fills {LEAST_SHARE:.0%} of the view",
+            "give other frames, or --map-edits 0",
         )
 
     def _view(self, frame: int) -> FloatArray:
@@ -158,30 +160,40 @@ class _Listener:
         return step
 
 
-def fly_edits(
-    bundle: Bundle, recording: Recording, frames: UnseenFrames, count: int, seed: int, progress: Progress
-) -> list[EditedFlight]:
-    """Fly over edited maps, and over the true map.
+def draw_edits(
+    bundle: Bundle, recording: Recording, frames: UnseenFrames, count: int, seed: int
+) -> list[tuple[Frames, MapEdit]]:
+    """Stretches of frames, each with an edit of the map that it sees.
 
     Args:
         frames: of the recording.
-        count: number of edits; each is flown once, and once is not.
-        seed: of the edits, starts and localizers.
 
     Raises:
         DataError: the recording has too few unseen frames in a row, or no edit is seen enough of.
     """
-    windows = frames.windows_lasting(EDITED_S) if count else []
-    if count and not windows:
+    if not count:
+        return []
+    windows = frames.windows_lasting(EDITED_S)
+    if not windows:
         raise DataError(frames.name, f"has no {EDITED_S:.0f} s of unseen frames in a row", "give more frames")
     rng = np.random.default_rng((seed, 2))
-    drawer = EditDrawer(bundle, recording, rng) if count else None
+    drawer = EditDrawer(bundle, recording, rng)
+    chosen = (windows[rng.integers(len(windows))] for _ in range(count))
+    return [(window, drawer.draw(window)) for window in chosen]
+
+
+def fly_edits(
+    bundle: Bundle, frames: UnseenFrames, drawn: Sequence[tuple[Frames, MapEdit]], seed: int, progress: Progress
+) -> list[EditedFlight]:
+    """Fly over edited maps, and over the true map.
+
+    Args:
+        drawn: by :func:`draw_edits`; each is flown once with the edit, and once without it.
+        seed: of the starts and localizers.
+    """
     flights = []
-    with progress.task("edited maps", count) as show:
-        for number in range(count):
-            assert drawer is not None
-            window = windows[rng.integers(len(windows))]
-            edit = drawer.draw(window)
+    with progress.task("edited maps", len(drawn)) as show:
+        for number, (window, edit) in enumerate(drawn):
             flown = frames.flight(window)
             start = Start.disturbed(frames.poses[window[0]], np.random.default_rng((seed, 2, number)))
             edited, unedited = (

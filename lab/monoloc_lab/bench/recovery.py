@@ -20,7 +20,7 @@ from monoloc.localizer import Localizer
 from monoloc.progress import Progress
 from monoloc.start import Start
 from monoloc_lab.bench.judged_flight import JudgedFlight, Mask, fly, longest_run_s, pooled, seconds_until, share
-from monoloc_lab.bench.map_edits import EditedFlight, fly_edits
+from monoloc_lab.bench.map_edits import EditedFlight, draw_edits, fly_edits
 from monoloc_lab.bench.unseen_frames import Frames, UnseenFrames
 
 BEFORE_FRAMES = 30
@@ -156,6 +156,7 @@ def bench_recovery(
     frames = UnseenFrames(bundle, recording, progress)
     rng = np.random.default_rng(seed)
     drawn_kidnaps, drawn_starts = draw_kidnaps(frames, kidnaps, rng), draw_starts(frames, starts, rng)
+    drawn_edits = draw_edits(bundle, recording, frames, map_edits, seed)  # so that minutes of flights are not lost
     with progress.task("kidnaps", len(drawn_kidnaps)) as show:
         kidnapped = []
         for number, kidnap in enumerate(drawn_kidnaps):
@@ -166,7 +167,7 @@ def bench_recovery(
         for number, start in enumerate(drawn_starts):
             started.append(_fly_start(bundle, frames, start, np.random.default_rng((seed, 1, number))))
             show(number + 1)
-    edited = fly_edits(bundle, recording, frames, map_edits, seed, progress)
+    edited = fly_edits(bundle, frames, drawn_edits, seed, progress)
     return recovery_figures(kidnapped, started, edited)
 
 

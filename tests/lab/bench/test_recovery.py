@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from monoloc.errors import DataError
 from monoloc.evaluation.consistency import Consistency
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.progress import NoProgress
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc_lab.bench.judged_flight import JudgedFlight
 from monoloc_lab.bench.map_edits import EditedFlight, MapEdit
-from monoloc_lab.bench.recovery import BEFORE_FRAMES, recovery_figures
+from monoloc_lab.bench.recovery import BEFORE_FRAMES, bench_recovery, recovery_figures
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 AFTER = 50  # frames, a tenth of a second each
@@ -127,3 +129,16 @@ def test_figures_are_given_for_near_and_away_too() -> None:
     assert (away.kidnaps, away.kidnap_recovery_rate) == (1, 1.0)
     assert (near.false_alarm_rate, away.false_alarm_rate) == (0.0, 1.0)
     assert near.coverage_95 == 1.0 and away.coverage_95 == 0.5
+
+
+def test_edits_that_cannot_be_drawn_are_refused_before_the_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kidnaps and starts take minutes."""
+    room = Room()
+    recording = RoomRecording(room, make_path(80), SMALL_CAMERA)
+    recording.timestamps_s *= 4.0
+    bundle = make_bundle(room_mixture(room, 20), RoomRecording(room, make_path(3), SMALL_CAMERA))
+    for name in ("LEAST_SHARE", "MOST_SHARE"):
+        monkeypatch.setattr(f"monoloc_lab.bench.map_edits.{name}", 0.999)
+    monkeypatch.setattr("monoloc_lab.bench.recovery._fly_kidnap", lambda *_: pytest.fail("flown"))
+    with pytest.raises(DataError, match=r"sees no part of the map .*; give other frames, or --map-edits 0"):
+        bench_recovery(bundle, recording, 1, 1, 1, 0, NoProgress())
