@@ -92,6 +92,29 @@ def check_keypoints(table: Table) -> None:
         agree_all(shown, [*figures, numbers(row, "without_pose", "images")])
 
 
+def check_further_recovery(table: Table) -> None:
+    recovery, faults = json_of("recovery-further.json"), json_of("faults-further.json")
+    for column, each in enumerate(recovery, start=1):
+        regions = [each[name] for name in ("near", "away")]
+        found = [
+            [number for region in regions for number in (round(region[rate] * region[count]), region[count])]
+            for rate, count in (("global_start_rate", "starts"), ("kidnap_recovery_rate", "kidnaps"))
+        ]
+        edits = [
+            round(each["map_edits"] * (each[name] or 0.0)) for name in ("map_changed_rate", "map_changed_false_rate")
+        ]
+        ended = faults[each["bundle"]]
+        left_out = ((), OF_LENS)  # all faults, and those of no lens
+        silent = [
+            silent_of([ended[name] for name in ended if not name.startswith(("none", *which))], "during", "after")
+            for which in left_out
+        ]
+        shown = [row[column] for row in table.rows]
+        coverage = [each["coverage_95"], each["coverage_99"]]
+        named = [*edits, each["map_edits"]] if each["map_edits"] else []
+        agree_all(shown, [*found, [100.0 * each["false_tracking_rate"]], coverage, named, *silent])
+
+
 def check_rendered_rooms(table: Table) -> None:
     flights = table_of("rendered-rooms.csv")
     assert len(table.rows) == len({(row["room"], row["method"]) for row in flights})
@@ -318,7 +341,8 @@ def check_second_walk(table: Table) -> None:
 CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("This version", 0): partial(check_flights, "this-version.csv"),
     ("Two recordings that nobody had looked at", 0): partial(check_flights, "further-recordings.csv"),
-    ("Two recordings that nobody had looked at", 1): check_keypoints,
+    ("Two recordings that nobody had looked at", 1): check_further_recovery,
+    ("Two recordings that nobody had looked at", 2): check_keypoints,
     ("Two rendered rooms", 0): check_rendered_rooms,
     ("Other cameras", 0): check_other_cameras,
     ("Eight rendered rooms", 0): check_many_rooms,

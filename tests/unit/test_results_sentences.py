@@ -650,6 +650,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "five of an earlier version had an RMSE of 9.4 cm": "of an earlier version, whose data were kept until d3dbeade",
     "**A lens 10 % longer than": "a name",
     "[may be 10 % wrong": "a definition",
+    "have 25 silent frames of 6497 and 5 of 2486": "in the table there, checked there",
 }
 WITH_A_FILE = ("Failed", "Undecided", "Two recordings that nobody had looked at")
 WITHOUT_KEPT_RUNS = ("Places that look alike", "A changed room", "Time and memory")
