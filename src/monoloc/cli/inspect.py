@@ -117,7 +117,7 @@ def _gravity(bundle: Bundle) -> dict[str, object]:
 
 
 def _shown_by(bundle: Bundle) -> str:
-    return "floor and walls" + ("" if bundle.provenance.kept_down is None else " before the first edit")
+    return "floor and walls" + ("" if bundle.provenance.kept_down is None else " before an edit")
 
 
 def _known_bias(reference_poses: ReferencePoses) -> dict[str, object]:

@@ -90,28 +90,29 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("components", "knows_down", "by", "mean"),
+    ("components", "told", "by", "mean"),
     [
-        (20, False, "floor and walls", [0.0, 1.0, 0.0]),
-        (20, True, "the recording", None),
-        (1, False, None, [0.0, 1.0, 0.0]),
+        (20, {}, "floor and walls", [0.0, 1.0, 0.0]),
+        (20, {"knows_down": True}, "the recording", None),
+        (1, {}, None, [0.0, 1.0, 0.0]),
+        (1, {"kept_down": (0.0, 1.0, 0.0)}, "floor and walls before an edit", [0.0, 1.0, 0.0]),
     ],
 )
 def test_bundle_says_what_told_gravity(
     capfd: pytest.CaptureFixture[str],
     here: Path,
     components: int,
-    knows_down: bool,
+    told: dict[str, object],
     by: str | None,
     mean: list[float] | None,
 ) -> None:
     room = Room()
     bundle = make_bundle(room_mixture(room, components), RoomRecording(room, make_path(2), SMALL_CAMERA))
-    provenance = bundle.provenance.model_copy(update={"knows_down": knows_down, "down_world": (0.0, 1.0, 0.0)})
+    provenance = bundle.provenance.model_copy(update={"down_world": (0.0, 1.0, 0.0), **told})
     write_bundle(here / "room.monoloc", replace(bundle, provenance=provenance))
     content = json_of(capfd, "inspect", "room.monoloc")
     assert (content["down"] is None, content["down_by"], content["mean_camera_down"]) == (by is None, by, mean)
-    assert not {"down_world", "knows_down"} & set(content)
+    assert not {"down_world", "knows_down", "kept_down"} & set(content)
 
 
 def test_missing_file_is_named(capfd: pytest.CaptureFixture[str], here: Path) -> None:
