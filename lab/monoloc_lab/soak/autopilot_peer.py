@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
@@ -131,11 +132,11 @@ class MavsdkPeer:
         self._mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
         self._direct: Any = None
 
-    def listen(self, timeout_s: float) -> None:
-        """Once the other side has been heard; raises TimeoutError if it is not."""
+    def listen(self, timeout_s: float, has_ended: Callable[[], bool]) -> None:
+        """Once the other side has been heard; raises TimeoutError if it is not in time, or has ended."""
         end_s = time.monotonic() + timeout_s
         while not self._mavsdk.get_systems():
-            if time.monotonic() > end_s:
+            if time.monotonic() > end_s or has_ended():
                 raise TimeoutError("MAVSDK heard nobody")
             time.sleep(0.02)
         direct: Any = import_module("mavsdk.plugins.mavlink_direct")

@@ -132,6 +132,9 @@ class _Flight:
         errors = (self.folder / "fly.txt").open("ab")
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, env=os.environ | _ONE_THREAD)
 
+    def has_ended(self) -> bool:
+        return self.process is not None and self.process.poll() is not None
+
     def stop(self) -> dict[str, object]:
         """End the process as systemd does; returns what it says of itself."""
         assert self.process is not None
@@ -182,7 +185,7 @@ def bench_live_flight(
         peer.open()
         flight.start()
         if mavsdk is not None:
-            mavsdk.listen(_SOON_S)
+            _heard_by(mavsdk, flight)
         say("undisturbed")
         begin_s = _next_pose(flight, peer.heard, 0.0)
         time.sleep(10.0)
@@ -275,11 +278,23 @@ def _next_pose(flight: _Flight, heard: Heard, after_s: float) -> float:
     while time.monotonic() < end_s:
         if heard.poses and heard.poses[-1][0] > after_s:
             return next(pose[0] for pose in heard.poses if pose[0] > after_s)
-        if flight.process is not None and flight.process.poll() is not None:
+        if flight.has_ended():
             break
         time.sleep(0.02)
+    raise _nothing_heard(flight)
+
+
+def _heard_by(mavsdk: MavsdkPeer, flight: _Flight) -> None:
+    try:
+        mavsdk.listen(_SOON_S, flight.has_ended)
+    except TimeoutError as error:
+        raise _nothing_heard(flight) from error
+
+
+def _nothing_heard(flight: _Flight) -> MonolocError:
+    what = "monoloc fly ended" if flight.has_ended() else f"no pose came within {_SOON_S:.0f} s"
     said = (flight.folder / "fly.txt").read_text(encoding="utf-8").splitlines()[-1:]
-    raise MonolocError(f"no pose came within {_SOON_S:.0f} s; monoloc fly said last: {' '.join(said) or 'nothing'}")
+    return MonolocError(f"{what}; monoloc fly said last: {' '.join(said) or 'nothing'}")
 
 
 def _back(flight: _Flight, heard: Heard) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 from cli_helpers import json_of, write_workspace
 from monoloc.camera import Camera
 from monoloc.cli.common import parse_intrinsics
+from monoloc.errors import MonolocError
 from monoloc.mavlink.firmware import Firmware
 from monoloc_lab.soak import live_flight
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
@@ -26,6 +29,24 @@ def test_a_flight_has_the_lens_of_the_recording(tmp_path: Path, monkeypatch: pyt
     live_flight._Flight(tmp_path, "7scenes:kitchen", "::", fisheye, 30.0, Firmware.PX4, tmp_path).start()
     (command,) = started
     assert parse_intrinsics(command[command.index("--camera") + 1])[0] == fisheye
+
+
+class Deaf:
+    """MAVSDK that waits until the other side has ended."""
+
+    def listen(self, timeout_s: float, has_ended: Callable[[], bool]) -> None:
+        assert has_ended()
+        raise TimeoutError
+
+
+def test_refusal_of_fly_is_passed_on(tmp_path: Path) -> None:
+    """As in a room that does not show gravity; it ended in a traceback of MAVSDK's, a minute later."""
+    (tmp_path / "fly.txt").write_text("note: 52 frames\nmonoloc: down: is missing\n")
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    flight = live_flight._Flight(tmp_path, "", "::", SMALL_CAMERA, 30.0, Firmware.PX4, tmp_path, process=ended)
+    with pytest.raises(MonolocError, match=r"^monoloc fly ended; monoloc fly said last: monoloc: down: is missing$"):
+        live_flight._heard_by(Deaf(), flight)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
